@@ -28,11 +28,9 @@ from torch import Tensor, nn
 from torch.nn.attention.flex_attention import create_block_mask, flex_attention
 
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.network.attention import Attention, PositionBias, attend, bands
-from gesturekit.diffusion.network.denoiser import Conformer, Denoiser, DilatedConv
-from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.experts import clip_denoised
-from gesturekit.diffusion.sampling.solvers import sample
+from gesturekit.diffusion.network import Attention, Conformer, Denoiser, DilatedConv, attend
+from gesturekit.diffusion.noise_schedule import NoiseSchedule, clip_denoised, sample
+from gesturekit.diffusion.position_bias import PositionBias, bands
 from gesturekit.training.run.session import prepare_device
 from gesturekit.training.seeds import rng_for
 
@@ -327,8 +325,8 @@ def attention(net: Denoiser, device: torch.device, runs: int) -> dict[str, dict[
         shape = 3, batch, CONFIG.heads, n_frames, CONFIG.channels // CONFIG.heads
         qkv = torch.randn(shape, device=device).requires_grad_(trains)
 
-        def ours(qkv=qkv, own=own) -> Tensor:
-            return attend(*qkv, own, 0.0)
+        def ours(qkv=qkv, own=own, trains=trains) -> Tensor:
+            return attend(*qkv, own, 0.0, fused=not trains)
 
         def theirs(qkv=qkv, other=other) -> Tensor:
             return other(*qkv)

@@ -7,19 +7,23 @@ dropout.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+import audio_features as af
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion.events import event_flags
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.events import Event
+from gesturekit.evaluation.metrics.rhythm import music_beats
+from gesturekit.formats.tables.events import Event, load_events
 from gesturekit.motion.root_path import RootPath
 from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.features import (
@@ -27,6 +31,7 @@ from gesturekit.training.data.features import (
     conditioner_values,
     load_conditioner,
 )
+from gesturekit.wording import did_you_mean
 
 PARTS = ("speech", "path", "events", "styles", "state")
 
@@ -98,26 +103,18 @@ class Conditions:
             style: (T, K) style weights, see `gesturekit.corpus.styles.style_track`.
 
         Raises:
-            ModelError: a part that this model lacks, a part of the wrong shape, or an event of an
-                unknown name.
+            ModelError: an event of an unknown name.
         """
         condition = np.zeros((n_frames, self.width), np.float32)
         given = {
             "speech": speech,
-            "path": None if path is None else self._normalised(path),
+            "path": None if path is None else (path.deltas() - self.path_mean) / self.path_scale,
             "events": None if events is None else event_flags(events, self.events, n_frames, fps),
             "styles": style,
         }
         for name, values in given.items():
-            columns = self.columns[name]
-            if values is None:
-                continue
-            wanted = (n_frames, columns.stop - columns.start)
-            if values.shape != wanted and values.size:
-                why = "the model has no such part" if not wanted[1] else f"expected {wanted}"
-                raise ModelError(f"condition: {name} of shape {values.shape}; {why}")
-            if values.size:
-                condition[:, columns] = values
+            if values is not None and values.size:
+                condition[:, self.columns[name]] = values
         return condition
 
     def without(self, condition: Array, *parts: str) -> Array:
@@ -129,9 +126,6 @@ class Conditions:
         for name in parts or PARTS[:-1]:
             dropped[..., self.columns[name]] = 0
         return dropped
-
-    def _normalised(self, path: RootPath) -> np.ndarray:
-        return (path.deltas() - self.path_mean) / self.path_scale
 
     def to_values(self) -> dict[str, Any]:
         """Return the layout as plain values for `config.yaml`; the state has its own there."""
@@ -165,25 +159,97 @@ class Conditions:
         Raises KeyError, TypeError or ValueError for damaged values, and WeightsError for WavLM
         weights that are missing or are not those of training.
         """
-        features, conditioner = values["features"], None
+        features, has_path = values["features"], bool(values["path"])
+        conditioner = None
         if features is not None:
             conditioner = load_conditioner(features, tensors, fps, weights, device)
-        path = {}
-        if values["path"]:
-            path = {
-                "path_mean": tensors["path.mean"].numpy(),
-                "path_scale": tensors["path.scale"].numpy(),
-            }
-        return cls(
-            conditioner,
-            bool(values["path"]),
-            tuple(map(str, values["events"])),
-            tuple(map(str, values["styles"])),
-            state=state,
-            **path,
-        )
+        events, styles = (tuple(map(str, values[name])) for name in ("events", "styles"))
+        conditions = cls(conditioner, has_path, events, styles, state=state)
+        if not has_path:
+            return conditions
+        mean, scale = (tensors[f"path.{name}"].numpy() for name in ("mean", "scale"))
+        return replace(conditions, path_mean=mean, path_scale=scale)
 
 
 def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> RootPath:
     """Resample a path to the model's frame rate and smooth it (section 4.1)."""
     return path.resample(fps, n_frames).smoothed()
+
+
+def event_flags(
+    events: Sequence[Event], names: Sequence[str], n_frames: int, fps: float
+) -> np.ndarray:
+    """Return flags (T, E): 1 from the frame nearest to an event's start, at least one frame.
+
+    Args:
+        events: events after the last frame are ignored.
+        names: E names of the model's events.
+        n_frames: T.
+        fps: frames per second.
+
+    Raises:
+        ModelError: an event of an unknown name.
+    """
+    flags = np.zeros((n_frames, len(names)), np.float32)
+    for event in events:
+        check_event(event, names)
+        start = math.floor(event.time * fps + 0.5)
+        stop = math.floor((event.time + event.duration) * fps + 0.5)
+        flags[start : max(stop, start + 1), names.index(event.name)] = 1
+    return flags
+
+
+def check_event(event: Event, known: Sequence[str]) -> None:
+    """Raise ModelError for an event of an unknown name."""
+    if event.name not in known:
+        hint = did_you_mean(event.name, known, "did you mean {}? ")
+        raise ModelError(f"event {event.name!r}: {hint}the model has {', '.join(known) or 'none'}")
+
+
+_SECONDS = r"\d+(\.\d*)?|\.\d+"
+_TERM = re.compile(rf"(?P<name>.+)@(?P<time>beats|{_SECONDS})(:(?P<duration>{_SECONDS}))?")
+
+
+def wants_beats(events: str | Path | None) -> bool:
+    """Return whether the events depend on the beats of a sound."""
+    return isinstance(events, str) and any(
+        match is not None and match["time"] == "beats"
+        for match in (_TERM.fullmatch(text.strip()) for text in events.split(","))
+    )
+
+
+def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
+    """Return the requested events in order of time.
+
+    Args:
+        events: a table (`.csv`, see `load_events`), or names and seconds from the beginning
+            (`kick@1.0,punch@2.5`). `kick@beats` is on every detected beat of the sound.
+            `kick@1.0:0.5` lasts half a second; without a duration, an event is one frame long.
+        wave: the sound that `@beats` refers to.
+
+    Raises:
+        ModelError: a text that cannot be read, or beats without a sound that has beats.
+        FormatError: a table that cannot be read.
+    """
+    if isinstance(events, Path) or events.lower().endswith(".csv"):
+        return load_events(events)
+    asked: list[Event] = []
+    for text in events.split(","):
+        match = _TERM.fullmatch(text.strip())
+        if match is None:
+            raise ModelError(
+                f"event {text.strip()!r}: events look like kick@1.0,punch@2.5:0.5 (seconds, and "
+                "how long), like kick@beats, or are a .csv with columns time,name[,duration]"
+            )
+        duration, times = float(match["duration"] or 0), [match["time"]]
+        if match["time"] == "beats":
+            if wave is None:
+                raise ModelError(f"event {text.strip()!r}: there is no sound to find beats in")
+            times = music_beats(wave).tolist()
+            if not times:
+                raise ModelError(
+                    f"event {text.strip()!r}: no beat was found in {wave.source or 'the sound'}; "
+                    "give seconds instead"
+                )
+        asked += [Event(float(time), match["name"].strip(), duration) for time in times]
+    return tuple(sorted(asked))

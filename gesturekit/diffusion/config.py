@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -10,7 +9,13 @@ from typing import Literal
 from gesturekit.corpus.layouts import HANDED
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
-from gesturekit.training.run_config import RunConfig, check_at_most, check_positive, check_share
+from gesturekit.training.run_config import (
+    RunConfig,
+    check_at_most,
+    check_not_negative,
+    check_positive,
+    check_share,
+)
 
 
 @dataclass(frozen=True)
@@ -46,19 +51,10 @@ class NetworkConfig:
     stack. It has no dilation 0; the paper's cycle is 1, 2, 4 ... 512."""
 
     def __post_init__(self) -> None:
-        check_positive(
-            blocks=self.blocks,
-            layers=self.layers,
-            channels=self.channels,
-            heads=self.heads,
-            feedforward=self.feedforward,
-            embedding=self.embedding,
-            kernels=self.kernels,
-            nearest_view=self.nearest_view,
-        )
+        check_positive(**{k: value for k, value in vars(self).items() if isinstance(value, int)})
         check_at_most(1000, blocks=self.blocks, layers=self.layers, kernels=self.kernels)
-        widths = {"channels": self.channels, "feedforward": self.feedforward}
-        check_at_most(16384, **widths, embedding=self.embedding)
+        widths = ("channels", "feedforward", "embedding")
+        check_at_most(16384, **{name: getattr(self, name) for name in widths})
         if self.channels % self.heads:
             raise ConfigError(f"heads: {self.heads} must divide channels, which is {self.channels}")
         if self.farthest_view < self.nearest_view:
@@ -156,22 +152,13 @@ class TrainingConfig:
     """Precision of matrix products in training; weights and sums stay float32."""
 
     def __post_init__(self) -> None:
-        check_positive(
-            updates=self.updates,
-            batch=self.batch,
-            window=self.window,
-            learning_rate=self.learning_rate,
-            decay=self.decay,
-        )
-        check_share(
-            dropout_condition=self.dropout_condition,
-            dropout_style=self.dropout_style,
-            dropout_state=self.dropout_state,
-            decay=self.decay,
-        )
-        for name in ("warm_up", "clip", "changes", "foot_sliding", "state"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(f"{name}: {getattr(self, name)!r} must be at least 0")
+        values = vars(self)
+        above_0 = ("updates", "batch", "window", "learning_rate", "decay")
+        check_positive(**{name: values[name] for name in above_0})
+        shares = ("dropout_condition", "dropout_style", "dropout_state", "decay")
+        check_share(**{name: values[name] for name in shares})
+        at_least_0 = ("warm_up", "clip", "changes", "foot_sliding", "state")
+        check_not_negative(**{name: values[name] for name in at_least_0})
         if not 0 <= self.ema < 1:
             raise ConfigError(f"ema: {self.ema} must be at least 0 and below 1")
         if self.min_snr is not None:

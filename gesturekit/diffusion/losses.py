@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from gesturekit.diffusion.kinematics import VectorPlaces
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, VectorPlaces
 from gesturekit.motion.contacts import CONTACT_SPEED
 from gesturekit.motion.torch_kinematics import PointKinematics
 from gesturekit.state.process import StateProcess
@@ -67,29 +66,18 @@ class FootVelocity(nn.Module):
 
     Args:
         representation: of the motion vectors, with displacement columns.
-        normaliser: of the motion vectors.
         feet: kinematics of the foot points.
         fps: frames per second.
     """
 
-    mean: Tensor
-    scale: Tensor
-
     def __init__(
-        self,
-        representation: DeltaRepresentation,
-        normaliser: Normaliser,
-        feet: PointKinematics,
-        fps: float,
+        self, representation: DeltaRepresentation, feet: PointKinematics, fps: float
     ) -> None:
         super().__init__()
         self.places, self.fps = VectorPlaces(representation, feet), fps
-        self.register_buffer("mean", normaliser.mean)
-        self.register_buffer("scale", normaliser.scale)
 
-    def forward(self, motion: Tensor) -> Tensor:
-        """Return (B, T - 1, F, 3), m/s of the reference body, for normalised motion (B, T, X)."""
-        values = Normaliser(self.mean, self.scale).inverse(motion)
+    def forward(self, values: Tensor) -> Tensor:
+        """Return (B, T - 1, F, 3), m/s of the reference body, for motion vectors (B, T, X)."""
         places = self.places(values)
         steps = values[:, 1:, self.places.representation.root_columns]
         turn, forward, lateral = steps.unbind(-1)
@@ -111,30 +99,22 @@ class StateDistance(nn.Module):
 
     Args:
         representation: of the motion vectors.
-        normaliser: of the motion vectors.
         process: of the recordings.
     """
 
-    mean: Tensor
-    scale: Tensor
     weight: Tensor
 
-    def __init__(
-        self, representation: DeltaRepresentation, normaliser: Normaliser, process: StateProcess
-    ) -> None:
+    def __init__(self, representation: DeltaRepresentation, process: StateProcess) -> None:
         super().__init__()
         self.places = VectorPlaces(representation)
         self.channels, self.fps = process.channels, process.fps
-        self.register_buffer("mean", normaliser.mean)
-        self.register_buffer("scale", normaliser.scale)
         weight = process.channels.counts / process.scale
         self.register_buffer("weight", torch.from_numpy(weight).float()[:, None])
 
     def forward(self, predicted: Tensor, recorded: Tensor) -> Tensor:
-        """Return (B,) for normalised motion (B, T, X), in standard deviations of the recordings."""
-        shown, wanted = self._channels(predicted), self._channels(recorded)
+        """Return (B,) for motion vectors (B, T, X), in standard deviations of the recordings."""
+        shown, wanted = (
+            self.channels(self.places(values).permute(0, 2, 3, 1), self.fps)
+            for values in (predicted, recorded)
+        )
         return (self.weight * (shown - wanted)).abs().mean(dim=(1, 2))
-
-    def _channels(self, motion: Tensor) -> Tensor:
-        values = Normaliser(self.mean, self.scale).inverse(motion)
-        return self.channels(self.places(values).permute(0, 2, 3, 1), self.fps)

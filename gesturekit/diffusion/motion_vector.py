@@ -18,26 +18,29 @@ displacement columns.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from gesturekit.errors import MotionError
 from gesturekit.motion.heading import side_axis
 from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import (
     invert_quaternions,
+    matrix_from_quaternion,
     mean_quaternion,
     multiply_quaternions,
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.torch_kinematics import PointKinematics, rotation_vector_to_matrix
+from gesturekit.state.channels import StateChannels
 
 _FRAMES_AT_ONCE = 1024  # bounds the size of temporary arrays while decoding
 
@@ -75,12 +78,10 @@ class DeltaRepresentation(ModelJoints):
         indices = [names.index(name) for name in chosen["joints"]]
         side = side_axis(motions, indices[0])
         references = chosen["fixed_rotations"][indices]
-        unreferenced = cls(**chosen, makes_root=root, side=side, references=references)
-        level = [
-            unreferenced._level_root(motion, unreferenced._own_path(motion)) for motion in motions
-        ]
+        fitted = cls(**chosen, makes_root=root, side=side, references=references)
+        level = [fitted._level_root(motion, fitted._default_path(motion)) for motion in motions]
         references = np.concatenate([mean_quaternion(np.concatenate(level))[None], references[1:]])
-        return cls(**chosen, makes_root=root, side=side, references=references)
+        return replace(fitted, references=references)
 
     def to_json(self) -> dict[str, Any]:
         """Return everything except the skeleton as plain values."""
@@ -120,11 +121,6 @@ class DeltaRepresentation(ModelJoints):
         """Columns of turn, forward and lateral displacement; empty with a path."""
         return slice(self.height_column + 1, self.n_features)
 
-    def joint_columns(self, name: str) -> slice:
-        """Return the three columns of one modelled joint."""
-        k = self.joints.index(name)
-        return slice(3 * k, 3 * k + 3)
-
     def encode(self, motion: Motion, path: RootPath | None = None) -> np.ndarray:
         """Encode a motion of this rig as motion vectors (T, X) float64.
 
@@ -137,25 +133,19 @@ class DeltaRepresentation(ModelJoints):
                 path, smoothed (`RootPath.smoothed`).
 
         Raises:
-            MotionError: joint names or parents differ from the rig's, or the path has another
-                length.
+            MotionError: joint names or parents differ from the rig's.
         """
         self.check_rig(motion)
-        if path is None:
-            path = self._own_path(motion)
-        elif self.makes_root:
-            raise MotionError("the vector has displacement columns, so no path can be given")
-        elif path.n_frames != motion.n_frames:
-            raise MotionError(f"a path of {path.n_frames} frames for {motion.n_frames} of motion")
+        path = self._default_path(motion) if path is None else path
         rotations = motion.rotations[:, self.indices]
         rotations[:, 0] = self._level_root(motion, path)
         away = multiply_quaternions(invert_quaternions(self.references), rotations)
         maps = continuous_maps(rotation_vector_from_quaternion(away))
         height = motion.positions()[:, self.root, 1:2] / self.scale
-        parts = [maps.reshape(motion.n_frames, -1), height]
+        columns = [maps.reshape(motion.n_frames, -1), height]
         if self.makes_root:
-            parts.append(path.scaled(1 / self.scale).deltas())
-        return np.concatenate(parts, axis=-1)
+            columns.append(path.scaled(1 / self.scale).deltas())
+        return np.concatenate(columns, axis=-1)
 
     def decode(
         self,
@@ -175,35 +165,19 @@ class DeltaRepresentation(ModelJoints):
                 height of the root are scaled by leg length; a path is not.
             path: T frames at `fps`; the root's path if `makes_root` is False.
             start: x and z in metres and heading in radians of frame 0, without a path.
-
-        Raises:
-            MotionError: an unexpected or missing path, or one with another frame rate or length;
-                see `RootPath.resample`.
         """
         values = np.asarray(values, dtype=np.float64)
-        if values.ndim != 2 or values.shape[1] != self.n_features:
-            raise MotionError(
-                f"motion vectors of shape {values.shape}; expected (T, {self.n_features})"
-            )
         n_frames, size = len(values), self.scale * self.size_of(skeleton)
         if self.makes_root:
-            if path is not None:
-                raise MotionError("the model moves the root itself, so it cannot follow a path")
             deltas = values[:, self.root_columns] * [1.0, size, size]
             path = RootPath.from_deltas(deltas, fps, start)
-        elif path is None:
-            raise MotionError("the root follows a path, and none was given")
-        elif (path.fps, path.n_frames) != (fps, n_frames):
-            raise MotionError(
-                f"the path has {path.n_frames} frames at {path.fps:g} fps; the motion has "
-                f"{n_frames} at {fps:g}"
-            )
+        assert path is not None
         rotations = self.fixed_pose(n_frames)
         index = self.indices
         for first in range(0, n_frames, _FRAMES_AT_ONCE):
-            part = values[first : first + _FRAMES_AT_ONCE, self.map_columns]
-            away = quaternion_from_rotation_vector(part.reshape(len(part), len(index), 3))
-            rotations[first : first + len(part), index] = multiply_quaternions(
+            maps = values[first : first + _FRAMES_AT_ONCE, self.map_columns]
+            away = quaternion_from_rotation_vector(maps.reshape(len(maps), len(index), 3))
+            rotations[first : first + len(maps), index] = multiply_quaternions(
                 self.references, away
             )
         rotations[:, self.root] = multiply_quaternions(
@@ -218,7 +192,7 @@ class DeltaRepresentation(ModelJoints):
         self.check_rig(motion)
         return RootPath.of(motion, self.root, self.side)
 
-    def _own_path(self, motion: Motion) -> RootPath:
+    def _default_path(self, motion: Motion) -> RootPath:
         """Return the default path that a motion's vectors are relative to."""
         path = self.path_of(motion)
         return path if self.makes_root else path.smoothed()
@@ -238,12 +212,12 @@ def continuous_maps(maps: np.ndarray) -> np.ndarray:
     maps = np.array(maps, dtype=np.float64)
     jumps = np.linalg.norm(np.diff(maps, axis=0), axis=-1) > np.pi
     for k in np.flatnonzero(jumps.any(axis=0)):
-        one = maps[:, k]
-        smallest = int(np.linalg.norm(one, axis=-1).argmin())
-        for t in range(smallest + 1, len(one)):
-            one[t] = _nearest_map(one[t], one[t - 1])
+        joint = maps[:, k]
+        smallest = int(np.linalg.norm(joint, axis=-1).argmin())
+        for t in range(smallest + 1, len(joint)):
+            joint[t] = _nearest_map(joint[t], joint[t - 1])
         for t in range(smallest - 1, -1, -1):
-            one[t] = _nearest_map(one[t], one[t + 1])
+            joint[t] = _nearest_map(joint[t], joint[t + 1])
     return maps
 
 
@@ -301,3 +275,44 @@ class Normaliser:
     def inverse(self, values: Tensor) -> Tensor:
         """Convert normalised values (..., X) back to their own units."""
         return values * self.scale + self.mean
+
+
+class VectorPlaces(nn.Module):
+    """Places of points, metres on the reference body, in axes that turn with the root's heading.
+
+    Args:
+        representation: of the motion vectors.
+        points: kinematics of the points; None for the modelled joints.
+    """
+
+    references: Tensor
+
+    def __init__(
+        self, representation: DeltaRepresentation, points: PointKinematics | None = None
+    ) -> None:
+        super().__init__()
+        self.representation = representation
+        self.points = points or PointKinematics(representation, representation.indices)
+        references = torch.from_numpy(matrix_from_quaternion(representation.references)).float()
+        self.register_buffer("references", references[self.points.turned])
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Return (B, T, P, 3) of motion vectors (B, T, X) in their own units."""
+        maps = values[..., self.representation.map_columns].unflatten(-1, (-1, 3))
+        maps = maps.index_select(2, self.points.turned)
+        rotations = self.references @ rotation_vector_to_matrix(maps)
+        return self.points(rotations, values[..., self.representation.height_column])
+
+
+@torch.no_grad()
+def measured_state(
+    vectors: np.ndarray, representation: DeltaRepresentation, channels: StateChannels, fps: float
+) -> np.ndarray:
+    """Return the state of movement (C, T) of motion vectors (T, X), both in their own units."""
+    places = _joint_places(representation)(torch.from_numpy(vectors).float()[None])
+    return channels(places.permute(0, 2, 3, 1), fps)[0].double().numpy()
+
+
+@lru_cache(maxsize=4)
+def _joint_places(representation: DeltaRepresentation) -> VectorPlaces:
+    return VectorPlaces(representation)

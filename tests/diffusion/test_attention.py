@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from gesturekit.diffusion import NetworkConfig
-from gesturekit.diffusion.network.attention import PositionBias, attend, bands
+from gesturekit.diffusion.network import attend
+from gesturekit.diffusion.position_bias import PositionBias, bands
 from gesturekit.training.seeds import rng_for
 
 
@@ -55,7 +56,8 @@ def test_the_bias_starts_as_in_the_released_code():
     assert (bias.widths == 5).all() and (bias.floors == 1).all()
 
 
-def test_blocks_equal_the_full_computation():
+@pytest.mark.parametrize("fused", [False, True])
+def test_blocks_equal_the_full_computation(fused):
     config, n_frames = NetworkConfig(kernels=4), 300
     bias = bent_bias(config)
     rng = rng_for("qkv")
@@ -65,5 +67,5 @@ def test_blocks_equal_the_full_computation():
     with torch.no_grad():
         made = bands(bias, n_frames)
         assert len(made) > 1 and all(len(band.blocks) > 1 for band in made)
-        ours = attend(q, k, v, made, 0.0)
+        ours = attend(q, k, v, made, 0.0, fused=fused)
     torch.testing.assert_close(ours.double(), exact, atol=1e-5, rtol=1e-5)

@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from gesturekit.diffusion import DeltaRepresentation
-from gesturekit.diffusion.training.augmentation import (
-    mirror_condition,
-    source_frames,
-    stretch,
-    stretch_factor,
-)
+from gesturekit.diffusion import Conditions, DeltaRepresentation
+from gesturekit.diffusion.training.batches import source_frames, stretch, stretch_factor
+from gesturekit.diffusion.training.recordings import mirror_condition
 from gesturekit.errors import ConfigError
 from gesturekit.motion import RootPath, multiply_quaternions, quaternion_from_rotation_vector
 from gesturekit.training.seeds import rng_for
@@ -96,15 +92,15 @@ def test_a_window_ends_with_the_last_frame_that_it_needs():
 
 def test_conditions_are_mirrored_with_the_motion():
     rng = np.random.default_rng(0)
-    condition = rng.standard_normal((40, 10))
+    condition = rng.standard_normal((40, 9))
     names = ("kickLeft", "jump", "kickRight", "PUNCH_R", "PUNCH_L")
-    columns = {"path": slice(1, 4), "events": slice(4, 9), "event_names": names}
     offset = np.array([0.3, -0.1, 2.0])
-    made = mirror_condition(condition, **columns, path_offset=offset)
-    assert made[:, [0, 2, 5, 9]] == pytest.approx(condition[:, [0, 2, 5, 9]])
-    raw = condition[:, 1:4] + offset
-    assert made[:, 1:4] + offset == pytest.approx(raw * [-1, 1, -1])
-    assert (made[:, [4, 6, 7, 8]] == condition[:, [6, 4, 8, 7]]).all()
-    assert mirror_condition(made, **columns, path_offset=offset) == pytest.approx(condition)
+    layout = Conditions(None, True, names, ("old",), 0.5 * offset, np.full(3, 0.5))
+    made = mirror_condition(condition, layout)
+    assert made[:, [1, 4, 8]] == pytest.approx(condition[:, [1, 4, 8]])
+    raw = condition[:, :3] + offset
+    assert made[:, :3] + offset == pytest.approx(raw * [-1, 1, -1])
+    assert (made[:, [3, 5, 6, 7]] == condition[:, [5, 3, 7, 6]]).all()
+    assert mirror_condition(made, layout) == pytest.approx(condition)
     with pytest.raises(ConfigError, match="(?=.*'kickLeft')(?=.*'kickRight')"):
-        mirror_condition(condition, events=slice(4, 5), event_names=("kickLeft",))
+        mirror_condition(condition, Conditions(events=("kickLeft",)))

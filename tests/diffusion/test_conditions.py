@@ -6,7 +6,7 @@ import torch
 
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion import Conditions, smooth_path
+from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.formats import Event
 from gesturekit.motion import RootPath
 

@@ -8,8 +8,11 @@ import torch
 from rigs import prefixed
 
 from gesturekit.corpus import Manifest, prepare
-from gesturekit.diffusion import Batches, DiffusionModel, load_training_data, smooth_path, train
+from gesturekit.diffusion import DiffusionModel, train
+from gesturekit.diffusion.conditions import smooth_path
+from gesturekit.diffusion.training.batches import Batches
 from gesturekit.diffusion.training.data import TrainingData
+from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.errors import ConfigError, CorpusError
 
 PLAIN = {"mirror": False, "stretch": 0.0}
@@ -119,7 +122,7 @@ def test_unpaired_motion_on_another_rig_is_retargeted(loaded, idle):
     assert alone.n_frames == 90 and not alone.condition.any()
     assert data.seconds == (pytest.approx(6.5), pytest.approx(3.0))
     # The arms hang and swing as they did on the other rig.
-    arm = data.representation.joint_columns("LeftArm")
+    arm = np.arange(3) + 3 * data.representation.joints.index("LeftArm")
     paired = data.recordings[0].motion[:, arm]
     assert np.abs(alone.motion[:, arm].mean(0) - paired.mean(0)).max() < 0.1
     height = data.representation.height_column

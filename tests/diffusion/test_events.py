@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from gesturekit.diffusion import asked_events, wants_beats
+from gesturekit.diffusion.conditions import asked_events, wants_beats
 from gesturekit.errors import ModelError
 from gesturekit.formats import Event
 

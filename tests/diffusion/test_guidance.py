@@ -1,16 +1,19 @@
 """Products of experts obey their algebra."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
 
-from gesturekit.diffusion import Denoiser, NetworkConfig, NoiseConfig, NoiseSchedule, sample
-from gesturekit.diffusion.sampling.experts import (
+from gesturekit.diffusion import Denoiser, NetworkConfig, NoiseConfig
+from gesturekit.diffusion.noise_schedule import (
     MAX_DEVIATION,
-    Expert,
-    ProductOfExperts,
+    NoiseSchedule,
     clip_denoised,
+    sample,
 )
+from gesturekit.diffusion.sampling.experts import Expert, predicted_noise, product
 from gesturekit.errors import ModelError
 from gesturekit.training.seeds import rng_for, seeded
 
@@ -19,9 +22,9 @@ CONFIG = NetworkConfig(blocks=2, layers=1, channels=16, heads=2, feedforward=32,
 SCHEDULE = NoiseSchedule.of(NoiseConfig())
 
 
-def network(seed: int, n_condition: int = CONDITION, n_motion: int = MOTION) -> Denoiser:
+def network(seed: int, n_condition: int = CONDITION) -> Denoiser:
     def make() -> Denoiser:
-        made = Denoiser(n_motion, n_condition, CONFIG)
+        made = Denoiser(MOTION, n_condition, CONFIG)
         torch.nn.init.normal_(made.leave.weight)  # which is zero before training
         return made.eval()
 
@@ -33,36 +36,39 @@ def noise(*keys: int | str, width: int = MOTION) -> torch.Tensor:
 
 
 def expert(seed: int, condition: int = 0, schedule: NoiseSchedule = SCHEDULE) -> Expert:
-    return Expert(network(seed), schedule, noise("conditional", condition, width=CONDITION))
+    given = noise("conditional", condition, width=CONDITION)
+    return Expert(network(seed), schedule, given, np.ones(1))
+
+
+def mixed(experts: Sequence[Expert], weights: Sequence, step: int) -> torch.Tensor:
+    terms = [e.weighted(np.atleast_1d(w)) for e, w in zip(experts, weights, strict=True)]
+    return predicted_noise(product(terms), noise(), step)
 
 
 @pytest.mark.parametrize("weights", [(0.5, 0.5, 0), (1.5, 0, -0.5), (-0.25, 1.0, 0.25)])
 def test_experts_give_the_weighted_sum_of_what_their_networks_predict(weights):
     """The released code, adding in place, gives the second of three weights g1 (1 - g2)."""
-    narrow = Expert(network(3, n_condition=1), SCHEDULE, noise("narrow", width=1))
+    narrow = Expert(network(3, n_condition=1), SCHEDULE, noise("narrow", width=1), np.ones(1))
     experts = [expert(1), expert(2, condition=1), narrow]
     predicted = [e.network(noise(), e.condition, torch.tensor([30])).detach() for e in experts]
     expected = np.tensordot(weights, torch.stack(predicted).numpy(), 1)
-    found = ProductOfExperts(experts, weights).predict(noise(), 30)
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-5)
+    np.testing.assert_allclose(mixed(experts, weights, 30).numpy(), expected, atol=1e-5)
 
 
 def test_experts_that_are_alike_are_the_single_model_to_the_last_bit():
     alone = expert(1)
     alike = [expert(1), expert(1), alone]  # other objects, the same weights and conditions
     for weights in [(1 / 3, 1 / 3, 1 / 3), (-4.0, 7.0, -2.0)]:
-        mixed = ProductOfExperts(alike, weights)
-        assert torch.equal(mixed.predict(noise(), 12), alone.predict(noise(), 12))
+        assert torch.equal(mixed(alike, weights, 12), alone.predict(noise(), 12))
     varying = np.linspace(-1, 2, FRAMES)
-    mixed = ProductOfExperts(alike[:2], [varying, 1 - varying])
-    assert torch.equal(mixed.predict(noise(), 12), alone.predict(noise(), 12))
+    weights = [varying, 1 - varying]
+    assert torch.equal(mixed(alike[:2], weights, 12), alone.predict(noise(), 12))
 
 
 def test_an_expert_without_weight_is_not_run():
     broken = expert(2)
     torch.nn.init.constant_(broken.network.leave.bias, float("nan"))
-    predicted = ProductOfExperts([expert(1), broken], [1, 0]).predict(noise(), 5)
-    assert torch.equal(predicted, expert(1).predict(noise(), 5))
+    assert torch.equal(mixed([expert(1), broken], [1, 0], 5), expert(1).predict(noise(), 5))
 
 
 def test_noise_and_velocity_networks_mix_as_noise():
@@ -71,7 +77,7 @@ def test_noise_and_velocity_networks_mix_as_noise():
     signal, spread = SCHEDULE.scales(10, noise())
     second = experts[1].network(noise(), experts[1].condition, torch.tensor([10])).detach()
     expected = 0.5 * experts[0].predict(noise(), 10) + 0.5 * (spread * noise() + signal * second)
-    torch.testing.assert_close(ProductOfExperts(experts, [0.5, 0.5]).predict(noise(), 10), expected)
+    torch.testing.assert_close(mixed(experts, [0.5, 0.5], 10), expected)
 
 
 def test_clipping_bounds_the_errors_of_an_imperfect_network():
@@ -88,20 +94,6 @@ def test_clipping_bounds_the_errors_of_an_imperfect_network():
     torch.testing.assert_close(right, noise())
 
 
-def test_experts_that_do_not_fit_are_refused():
-    one, two = expert(1), expert(2)
-    for weights, told in (
-        ([0.5, 0.25], r"(?=.*0\.5)(?=.*0\.25)(?=.*0\.75)"),
-        ([0.5, np.full(FRAMES - 1, 0.5)], f"(?=.*{FRAMES - 1})(?=.*{FRAMES})"),
-    ):
-        with pytest.raises(ModelError, match=told):
-            ProductOfExperts([one, two], weights)
-    dance = NoiseSchedule.of(NoiseConfig(steps=150, first_beta=0.01, last_beta=0.7))
-    wide = network(2, n_motion=MOTION + 1)
-    for other, told in (
-        (expert(2, schedule=dance), "(?=.*100)(?=.*150)"),
-        (Expert(wide, SCHEDULE, one.condition), r"\b6\b"),
-        (Expert(two.network, SCHEDULE, two.condition[:, :-1]), "(?=.*40)(?=.*39)"),
-    ):
-        with pytest.raises(ModelError, match=told):
-            ProductOfExperts([one, other], [0.5, 0.5])
+def test_weights_that_do_not_add_up_are_refused():
+    with pytest.raises(ModelError, match=r"(?=.*0\.5)(?=.*0\.25)(?=.*0\.75)"):
+        mixed([expert(1), expert(2)], [0.5, 0.25], 5)

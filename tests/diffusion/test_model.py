@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.diffusion import asked_events, smooth_path
+from gesturekit.diffusion.conditions import asked_events, smooth_path
 from gesturekit.errors import ModelError
 from gesturekit.motion import RootPath
 

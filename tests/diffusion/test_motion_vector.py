@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import gesturekit as gk
-from gesturekit.diffusion import DeltaRepresentation, continuous_maps
+from gesturekit.diffusion import DeltaRepresentation
+from gesturekit.diffusion.motion_vector import continuous_maps
 from gesturekit.motion import (
     Motion,
     RootPath,

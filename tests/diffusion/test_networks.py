@@ -6,7 +6,8 @@ import torch
 import torch.nn.functional as F
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from gesturekit.diffusion import Denoiser, DilatedConv, NetworkConfig
+from gesturekit.diffusion import Denoiser, NetworkConfig
+from gesturekit.diffusion.network import DilatedConv
 from gesturekit.training.seeds import rng_for
 
 DIFFWAVE = NetworkConfig(

@@ -5,7 +5,9 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion import NoiseConfig, NoiseSchedule, change_error, denoising_error, sample
+from gesturekit.diffusion import NoiseConfig
+from gesturekit.diffusion.losses import change_error, denoising_error
+from gesturekit.diffusion.noise_schedule import NoiseSchedule, sample
 
 
 def of_two_steps(predict="noise"):

@@ -5,7 +5,8 @@ import math
 import pytest
 import torch
 
-from gesturekit.diffusion import NoiseConfig, NoiseSchedule, sample
+from gesturekit.diffusion import NoiseConfig
+from gesturekit.diffusion.noise_schedule import NoiseSchedule, sample
 from gesturekit.training.seeds import rng_for
 
 GESTURE = NoiseSchedule.of(NoiseConfig())

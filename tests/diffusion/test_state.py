@@ -13,8 +13,11 @@ from small_runs import small_diffusion
 import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus import Manifest
-from gesturekit.diffusion import Batches, StateDistance, load_training_data, train
-from gesturekit.diffusion.state import measured
+from gesturekit.diffusion import train
+from gesturekit.diffusion.losses import StateDistance
+from gesturekit.diffusion.motion_vector import measured_state
+from gesturekit.diffusion.training.batches import Batches
+from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.state import StateProcess
 from gesturekit.training.seeds import rng_for
@@ -89,15 +92,15 @@ def test_the_state_and_all_else_are_dropped_apart(config):
 def test_the_loss_is_the_distance_of_what_is_shown(config):
     """In standard deviations of the recordings; nothing for the recording itself."""
     data = load_training_data(config)
-    distance = StateDistance(data.representation, data.normaliser, data.state_process)
-    own = data.normaliser.forward(torch.from_numpy(data.recordings[0].motion[:60]))[None]
-    calmer = 0.5 * own
+    distance = StateDistance(data.representation, data.state_process)
+    own = torch.from_numpy(data.recordings[0].motion[:60])[None]
+    mean = data.normaliser.mean
+    calmer = mean + 0.5 * (own - mean)
     assert float(distance(own, own)) == 0
     process = data.state_process
-    values = data.normaliser.inverse(calmer)[0].numpy()
     apart = [
-        measured(part, data.representation, process.channels, process.fps)
-        for part in (values, data.recordings[0].motion[:60])
+        measured_state(part[0].numpy(), data.representation, process.channels, process.fps)
+        for part in (calmer, own)
     ]
     away = np.abs(apart[0] - apart[1]) / process.scale[:, None]
     expected = np.where(process.channels.fast, 4, 1) @ away.mean(axis=1) / len(away)

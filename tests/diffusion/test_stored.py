@@ -14,7 +14,9 @@ from small_runs import small_diffusion
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.corpus.speech import one_blas_thread
-from gesturekit.diffusion import Batches, DiffusionConfig, load_training_data, train
+from gesturekit.diffusion import DiffusionConfig, train
+from gesturekit.diffusion.training.batches import Batches
+from gesturekit.diffusion.training.loading import load_training_data
 
 ON_DISK = {"in_memory": 0.06}
 """A sample of 3.6 s of 13 s."""

@@ -11,7 +11,9 @@ from runs import cut_off, ended, launch, logged, same_weights, weights
 
 import gesturekit as gk
 from gesturekit.corpus import prepare
-from gesturekit.diffusion import DiffusionModel, TrainingConfig, learning_rate, train
+from gesturekit.diffusion import DiffusionModel, train
+from gesturekit.diffusion.config import TrainingConfig
+from gesturekit.diffusion.training.trainer import learning_rate
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training.config import to_dict
 from gesturekit.training.run.folder import Checkpoints

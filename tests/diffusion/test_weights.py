@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.sampling.expert_weights import (
+from gesturekit.diffusion.sampling.members import (
     style_weights,
     weight_track,
     weights_over_time,

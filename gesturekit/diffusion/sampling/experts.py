@@ -1,4 +1,4 @@
-"""Products of experts: a weighted sum of several noise predictions.
+"""Products of experts: a weighted sum of several noise predictions (eqs. 6 to 9).
 
     eps(x, n) = sum_m gamma_m eps_m(x, c_m, n),    sum_m gamma_m = 1
 
@@ -6,6 +6,10 @@
 conditions. Weights may be negative or above 1, which extrapolates, and may change over time.
 Classifier-free guidance (eq. 6) has two experts, without and with the style, of weights 1 - gamma
 and gamma. Guided interpolation (eq. 7) has two experts with different styles.
+
+Noise is predicted in normalised motion. Models with different means can be combined: the noisy
+motion is shifted to the mean of each, and its noise stays the same. Models with different scales
+cannot: the same noise would have a different size for each of them.
 """
 
 from __future__ import annotations
@@ -19,34 +23,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.diffusion.network.denoiser import Denoiser
-from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.sampling.solvers import Predict
+from gesturekit.diffusion.network import Denoiser
+from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
+from gesturekit.diffusion.sampling.members import (
+    SUM_TOLERANCE,
+    Member,
+    style_weights,
+    weights_over_time,
+)
+from gesturekit.diffusion.sampling.request import Request
+from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
-
-SUM_TOLERANCE = 1e-5
-"""Largest rounding error of the sum of the weights."""
-
-MAX_DEVIATION = 10.0
-"""Bound of every number of a motion, in standard deviations from its mean."""
-
-NO_SIGNAL = 1e-8
-"""abar below which the network is not evaluated: all 21,000 numbers of 10 s then hold 1e-4 nats of
-information about the motion. These are 39 of the 100 steps of the published gesture schedule, and
-69 of the 150 for dance."""
-
-Weight = float | np.ndarray | Tensor
-"""gamma of one expert: a number, or (T,) with one number per frame."""
+from gesturekit.training.seeds import rng_for
 
 
 @dataclass(frozen=True, eq=False)
 class Expert:
-    """A network with its condition.
+    """A network with its condition and weight: one term of eq. 8.
 
     Attributes:
         network: in eval mode.
         schedule: of its training.
         condition: (1, T, C), or (B, T, C) for a batch of motions with different conditions.
+        weight: gamma, (1,) or (T,) float64.
         shift: (X,) offset from the product's normalised motion to that of this network, for a
             network trained with another mean; None for no offset.
     """
@@ -54,7 +53,12 @@ class Expert:
     network: Denoiser
     schedule: NoiseSchedule
     condition: Tensor
+    weight: np.ndarray
     shift: Tensor | None = None
+
+    def weighted(self, factor: float | np.ndarray) -> Expert:
+        """Return the expert with its weight multiplied by a factor."""
+        return replace(self, weight=factor * self.weight)
 
     def equals(self, other: Expert) -> bool:
         """Return whether both have the same weights and condition, hence the same predictions."""
@@ -82,147 +86,183 @@ class Expert:
         return self.schedule.noise_of(self._predict(noisy, step), noisy, step)
 
 
-class ProductOfExperts:
-    """A weighted sum of the noise predictions of several experts (eq. 8).
-
-    Equal experts are merged and their weights added; experts of weight 0 are not run. A product of
-    equal experts is therefore bitwise equal to the single model.
-
-    Args:
-        experts: with one schedule, length, and width of the motion vector.
-        weights: gamma of each; they add up to 1 at every frame.
-
-    Raises:
-        ModelError: weights that do not add up to 1 or have the wrong number of frames; experts with
-            different schedules, lengths or widths.
-    """
-
-    def __init__(self, experts: Sequence[Expert], weights: Sequence[Weight]) -> None:
-        if not experts or len(experts) != len(weights):
-            raise ModelError(
-                f"{len(experts)} experts and {len(weights)} weights; give a weight for each of at "
-                "least one expert"
-            )
-        _check_alike(experts)
-        self.n_frames = experts[0].condition.shape[1]
-        gammas = [checked_weight(weight, self.n_frames) for weight in weights]
-        _check_sum(gammas)
-        merged: list[tuple[Expert, np.ndarray]] = []
-        for expert, gamma in zip(experts, gammas, strict=True):
-            equal = (k for k, (known, _) in enumerate(merged) if expert.equals(known))
-            k = next(equal, None)
-            if k is None:
-                merged.append((expert, gamma))
-            else:
-                merged[k] = (merged[k][0], merged[k][1] + gamma)
-        self._set(merged)
-
-    def _set(self, merged: Sequence[tuple[Expert, np.ndarray]]) -> None:
-        used = [(expert, gamma) for expert, gamma in merged if np.abs(gamma).max() > 0]
-        self.experts = tuple(expert for expert, _ in used)
-        self.weights = tuple(gamma for _, gamma in used)
-
-    def part(self, first: int, last: int) -> ProductOfExperts:
-        """Return the product for frames first (included) to last (excluded)."""
-        part = ProductOfExperts.__new__(ProductOfExperts)
-        part.n_frames = last - first
-        part._set(
-            [
-                (
-                    replace(expert, condition=expert.condition[:, first:last]),
-                    gamma[first:last] if gamma.size > 1 else gamma,
-                )
-                for expert, gamma in zip(self.experts, self.weights, strict=True)
-            ]
-        )
-        return part
-
-    def predict(self, noisy: Tensor, step: int) -> Tensor:
-        """Return the weighted sum of the experts' noise predictions (B, T, X)."""
-        if len(self.experts) == 1:  # its weight is 1 up to rounding
-            return self.experts[0].predict(noisy, step)
-        total = torch.zeros_like(noisy)
-        for expert, gamma in zip(self.experts, self.weights, strict=True):
-            weight = torch.from_numpy(gamma).to(noisy.device, noisy.dtype)
-            total = total + weight[:, None] * expert.predict(noisy, step)
-        return total
+def _same_weights(network: Denoiser, other: Denoiser) -> bool:
+    if network is other or network.config != other.config:
+        return network is other
+    return all(map(torch.equal, network.state_dict().values(), other.state_dict().values()))
 
 
-def clip_denoised(predict: Predict, schedule: NoiseSchedule) -> Predict:
-    """Clip noise predictions so that the clean motion stays within `MAX_DEVIATION`.
-
-    This is `clip_denoised` of Ho et al. (2020). At steps of almost pure noise, one step doubles the
-    network's error and all of them multiply it by 1e12, and the bounds are more accurate than the
-    network. Where abar is below `NO_SIGNAL`, both bounds equal the noisy motion to 1e-3: it is
-    returned, and the network is not evaluated.
-    """
-
-    def clipped(noisy: Tensor, step: int) -> Tensor:
-        signal, spread = schedule.scales(step, noisy)
-        if schedule.alphas_bar[step] < NO_SIGNAL:
-            return noisy
-        noise = predict(noisy, step)
-        reach = signal * MAX_DEVIATION
-        return torch.clamp(noise, (noisy - reach) / spread, (noisy + reach) / spread)
-
-    return clipped
+def predicted_noise(experts: Sequence[Expert], noisy: Tensor, step: int) -> Tensor:
+    """Return the weighted sum (B, T, X) of the experts' noise predictions (eq. 8)."""
+    if len(experts) == 1:  # its weight is 1 up to rounding
+        return experts[0].predict(noisy, step)
+    total = torch.zeros_like(noisy)
+    for expert in experts:
+        weight = torch.from_numpy(expert.weight).to(noisy.device, noisy.dtype)
+        total = total + weight[:, None] * expert.predict(noisy, step)
+    return total
 
 
-def _check_alike(experts: Sequence[Expert]) -> None:
-    first = experts[0]
-    for expert in experts[1:]:
-        if expert.network.n_motion != first.network.n_motion:
-            raise ModelError(
-                f"experts: one has {first.network.n_motion} numbers a frame, another "
-                f"{expert.network.n_motion}; experts of a product need one rig and representation"
-            )
-        own, theirs = first.schedule.betas, expert.schedule.betas
-        if own.shape != theirs.shape or not torch.allclose(own, theirs, rtol=0, atol=1e-6):
-            raise ModelError(
-                f"experts: their noise schedules differ ({_described(first.schedule)}; "
-                f"{_described(expert.schedule)}); experts of a product need the same one"
-            )
-        if expert.condition.shape[1] != first.condition.shape[1]:
-            raise ModelError(
-                f"experts: one has a condition of {first.condition.shape[1]} frames, another of "
-                f"{expert.condition.shape[1]}"
-            )
+def product(experts: Sequence[Expert]) -> list[Expert]:
+    """Check the weights of a product, and merge equal experts by adding theirs.
 
-
-def _described(schedule: NoiseSchedule) -> str:
-    return f"{schedule.steps} steps, beta {schedule.betas[0]:g} to {schedule.betas[-1]:g}"
-
-
-def checked_weight(weight: Weight, n_frames: int) -> np.ndarray:
-    """Return the weight of one expert as float64 (1,) or (T,), for T frames.
+    Experts of weight 0 are left out. A product of equal experts is therefore bitwise equal to the
+    single model.
 
     Raises:
-        ModelError: the weight has another shape.
+        ModelError: weights that do not add up to 1.
     """
-    values = np.atleast_1d(np.asarray(weight, dtype=np.float64))
-    if values.shape not in ((1,), (n_frames,)):
-        raise ModelError(
-            f"weights of an expert have shape {values.shape}; expected a number or ({n_frames},), "
-            "one for each frame"
-        )
-    return values
+    _check_sum([expert.weight for expert in experts])
+    merged: list[Expert] = []
+    for expert in experts:
+        k = next((k for k, known in enumerate(merged) if expert.equals(known)), None)
+        if k is None:
+            merged.append(expert)
+        else:
+            merged[k] = replace(merged[k], weight=merged[k].weight + expert.weight)
+    return [expert for expert in merged if np.abs(expert.weight).max() > 0]
 
 
-def _check_sum(gammas: Sequence[np.ndarray]) -> None:
-    sums = np.sum(np.broadcast_arrays(*gammas), axis=0)
+def _check_sum(weights: Sequence[np.ndarray]) -> None:
+    sums = np.sum(np.broadcast_arrays(*weights), axis=0)
     worst = sums[np.argmax(np.abs(sums - 1))]  # NaN is the worst
     if not math.isclose(worst, 1.0, rel_tol=0, abs_tol=SUM_TOLERANCE):
-        given = ", ".join(f"{gamma[0]:g}" if gamma.size == 1 else "..." for gamma in gammas)
+        given = ", ".join(f"{weight[0]:g}" if weight.size == 1 else "..." for weight in weights)
         raise ModelError(f"weights {given} add up to {worst:g}; experts' weights must add up to 1")
 
 
-def _same_weights(one: Denoiser, other: Denoiser) -> bool:
-    if one is other:
-        return True
-    if one.config != other.config:
-        return False
-    own, theirs = one.state_dict(), other.state_dict()
-    return own.keys() == theirs.keys() and all(
-        value.shape == theirs[name].shape and torch.equal(value, theirs[name])
-        for name, value in own.items()
-    )
+def experts_of(request: Request, numbers: Sequence[int]) -> list[Expert]:
+    """Return the experts of a request for the samples with these numbers.
+
+    A model with several styles is one expert for each style with a weight; guidance adds experts
+    with the style, the conditions or the state of movement left out.
+    """
+    states, members = _states(request, numbers), request.members
+    weights = weights_over_time([m.weight for m in members], request.n_frames, request.fps)
+    experts: list[Expert] = []
+    for k, (member, weight) in enumerate(zip(members, weights, strict=True)):
+        plain = _styled(member, request, numbers)
+        terms = [_with_state(expert, member.model, states) for expert in plain]
+        if k == 0:
+            terms += _guidance(plain, terms, request, states)
+        experts += [expert.weighted(weight) for expert in terms]
+    device = request.model.device
+    return [replace(expert, condition=expert.condition.to(device)) for expert in experts]
+
+
+def _guidance(
+    plain: list[Expert], terms: list[Expert], request: Request, states: list[np.ndarray] | None
+) -> list[Expert]:
+    """Return what classifier-free guidance adds: gamma - 1 with the style, 1 - gamma without.
+
+    This is eq. 6. Guidance on the state of movement is the same beside it, with and without the
+    state.
+
+    Args:
+        plain: experts of the first model without the state of movement.
+        terms: its experts.
+        request: the request.
+        states: see `_states`.
+    """
+    added: list[Expert] = []
+    if (gamma := request.controls["guidance"]) is not None:
+        unconditional = request.controls["unconditional"]
+        model = unconditional if isinstance(unconditional, TrainedModel) else request.model
+        condition = request.condition(model.conditions)
+        if unconditional is None and not ("styles" in model.droppable and model.styles):
+            condition = model.conditions.without(condition)
+        without = _expert(request, model, condition[None], np.ones(1) - gamma)
+        added.append(_with_state(without, model, states))
+        added += [expert.weighted(gamma - 1) for expert in terms]
+    if (gamma := request.controls["state_guidance"]) is not None:
+        for without, expert in zip(plain, terms, strict=True):
+            added += [without.weighted(1 - gamma), expert.weighted(gamma - 1)]
+    return added
+
+
+def _expert(
+    request: Request, model: TrainedModel, condition: np.ndarray, weight: np.ndarray
+) -> Expert:
+    """Return a model with a condition (B, T, C) as an expert beside the model of the request."""
+    first, shift = request.model, None
+    if not torch.equal(first.normaliser.mean, model.normaliser.mean):
+        shift = (first.normaliser.mean - model.normaliser.mean) / first.normaliser.scale
+        shift = shift.to(model.device)
+    return Expert(model.network, model.schedule, torch.from_numpy(condition), weight, shift)
+
+
+def _styled(member: Member, request: Request, numbers: Sequence[int]) -> list[Expert]:
+    """Return a model's experts, one for each style with a weight, without its state of movement.
+
+    Without a requested style, each sample gets a random one.
+    """
+    model, _, style = member
+    condition = request.condition(model.conditions)[None]
+    if not model.styles:
+        return [_expert(request, model, condition, np.ones(1))]
+    first = model.conditions.columns["styles"].start
+    if style is None:
+        condition = np.repeat(condition, len(numbers), axis=0)
+        for row, number in zip(condition, numbers, strict=True):
+            row[:, first + _random_style(model, request, number)] = 1
+        return [_expert(request, model, condition, np.ones(1))]
+    experts = []
+    weights = style_weights(model.styles, style, request.n_frames, request.fps)
+    for k, weight in enumerate(weights.T):
+        if np.abs(weight).max() > 0:
+            styled = condition.copy()
+            styled[..., first + k] = 1
+            weight = weight[:1] if (weight == weight[0]).all() else weight
+            experts.append(_expert(request, model, styled, weight))
+    return experts
+
+
+def _random_style(model: TrainedModel, request: Request, number: int) -> int:
+    """Return the random style of the sample with this number."""
+    rng = rng_for(request.seed, request.item, "sample", number, "style")
+    return int(torch.randint(len(model.styles), (), generator=rng))
+
+
+def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None:
+    """Return the state of movement (C, T) of each sample, for all experts; None without any.
+
+    It is drawn for the first model with a state, in its style.
+    """
+    if request.state is not None:
+        return [request.state] * len(numbers)
+    members = (member for member in request.members if member.model.state_process is not None)
+    model, _, name = next(members, request.members[0])
+    controls, process, style = request.controls, model.state_process, None
+    if process is None:
+        return None
+    if model.styles and name is not None:
+        weights = style_weights(model.styles, name, request.n_frames, request.fps)
+        style = int(weights.sum(axis=0).argmax())
+    speech = request.condition(model.conditions)[:, model.conditions.columns["speech"]].T
+    seed = request.seed if controls["mood_seed"] is None else int(controls["mood_seed"])
+    states = []
+    for number in numbers:
+        own_style = style
+        if style is None and model.styles:
+            own_style = _random_style(model, request, number)
+        states.append(
+            process.draw(
+                rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1,
+                speech,
+                (controls["speaker"], own_style),
+                liveliness=controls["liveliness"],
+            )
+        )
+    return states
+
+
+def _with_state(expert: Expert, model: TrainedModel, states: Sequence[np.ndarray] | None) -> Expert:
+    """Return the expert of a model with the state of movement (C, T) of each sample."""
+    if states is None:
+        return expert
+    condition = expert.condition.repeat(len(states) // len(expert.condition), 1, 1)
+    if model.state_process is not None:
+        for row, state in zip(condition, states, strict=True):
+            given = torch.from_numpy(model.state_process.given(state).T)
+            row[:, model.conditions.columns["state"]] = given
+    return replace(expert, condition=condition)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -14,134 +13,145 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, speech_features
-from gesturekit.diffusion.conditions import Conditions, smooth_path
+from gesturekit.diffusion.conditions import (
+    Conditions,
+    asked_events,
+    check_event,
+    smooth_path,
+    wants_beats,
+)
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.events import asked_events, check_event, wants_beats
-from gesturekit.diffusion.sampling.experts import MAX_DEVIATION
-from gesturekit.diffusion.sampling.solvers import last_step_with_signal
+from gesturekit.diffusion.motion_vector import measured_state
+from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, last_step_with_signal
+from gesturekit.diffusion.sampling.members import Member
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.events import Event
 from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.postprocess import Placement
+from gesturekit.state.given import given_state
 from gesturekit.training.data.own_rig import on_rig, pose_on_rig
 
 
-@dataclass(frozen=True, eq=False)
 class Request:
-    """Everything that one motion is generated from, except its style.
+    """Everything that motions are generated from: inputs are read, and the length is settled.
+
+    Args:
+        members: of the product; the first is the model that generates.
+        controls: checked (see `check_controls`).
+        speech: see `DiffusionModel.generate`.
+        seconds: length without speech, or None.
+        seed: with `item` and the number of a sample, it decides all random numbers.
+        item: name of the utterance.
 
     Attributes:
-        controls: the controls of `generate`, checked.
+        model: the first of the members.
         n_frames: T.
         fps: frames per second.
-        seconds: length without speech, or None.
-        start: a motion from which sampling starts; None for pure noise.
+        start: normalised motion (T, X) and the step up to which it is noised, from which sampling
+            starts; None for pure noise.
+        place: x and z in metres and heading in radians of the first frame, without a path.
+        state: channels (C, T) of the state of movement that is given, or that of the motion to
+            start from; None to draw it.
         wave: the sound; None for silence.
         path: the smoothed path of the root, T frames at `fps`; None for a model without one.
-        scale: metres of the path per metre of the reference body, see `ModelJoints.scale`.
         events: in order of time; None for no events.
-        conditioner: of the first model with speech input; None without such a model.
-        features: (T, S) speech features of that conditioner.
+        features: (T, S) speech features of each conditioner.
         placement: where and how the motion begins and ends.
+
+    Raises:
+        ModelError: an input that none of the models has, a missing path, or no length.
+        AudioError, FormatError: a file that cannot be read.
     """
 
-    controls: DiffusionControls
-    n_frames: int
-    fps: float
-    seconds: float | None
-    start: SDEditStart | None
-    wave: af.Wave | None
-    path: RootPath | None
-    scale: float
-    events: tuple[Event, ...] | None
-    conditioner: SpeechConditioner | None
-    features: np.ndarray
-    placement: Placement
-
-    @classmethod
-    def build(
-        cls,
-        models: Sequence[TrainedModel],
+    def __init__(
+        self,
+        members: Sequence[Member],
         controls: DiffusionControls,
         speech: str | Path | af.Wave | None,
         seconds: float | None,
-    ) -> Request:
-        """Read the inputs, settle the length and extract speech features.
-
-        Args:
-            models: of the product; the first is the one that generates.
-            controls: checked (see `check_controls`).
-            speech: see `DiffusionModel.generate`.
-            seconds: length without speech.
-
-        Raises:
-            ModelError: an input that none of the models has, a missing path, or no length.
-            AudioError, FormatError: a file that cannot be read.
-        """
-        model, start = models[0], None
-        read_pose = partial(pose_on_rig, model.representation)
-        fps, follows = model.fps, model.conditions.path
-        path, events = controls["path"], controls["events"]
+        seed: int,
+        item: str,
+    ) -> None:
+        self.members, self.controls, self.seconds = members, controls, seconds
+        self.seed, self.item = seed, item
+        self.model = model = members[0].model
+        self.fps = fps = model.fps
+        path, begin, events = controls["path"], None, controls["events"]
         if controls["like"] is not None:
-            start = SDEditStart.build(model, controls["like"], controls["change"])
-            if follows and path is None:
-                path = start.path
+            begin = SDEditStart(model, controls["like"])
+            if model.conditions.path and path is None:
+                path = begin.path
             if speech is None and seconds is None and path is None:
-                seconds = start.motion.duration
-        followed = _followed(model, path)
-        length = seconds
-        if speech is None and seconds is None and followed is not None:
+                self.seconds = begin.motion.duration
+        followed, length = _followed(model, path), self.seconds
+        if speech is None and length is None and followed is not None:
             length = followed.frames_within(fps) / fps
-        conditioners = (one.conditions.conditioner for one in models)
-        conditioner = next((one for one in conditioners if one is not None), None)
+        conditioners = _conditioners(members, controls)
         sound, wave = speech, None
-        if speech is not None and (conditioner is not None or wants_beats(events)):
+        if speech is not None and (conditioners or wants_beats(events)):
             sound = wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
-        if conditioner is None and wave is not None and length is None:
+        if not conditioners and wave is not None and length is None:
             # No model has speech input, but the beats of the sound are the times of events.
             sound, length = None, wave.n_frames(fps) / fps
-        features = speech_features(conditioner, sound, length, fps, controls["vad"])
-        n_frames = len(features)
-        found = None if events is None else asked_events(events, wave)
-        if followed is not None:
-            followed = smooth_path(followed, fps, n_frames)
-        return cls(
-            controls=controls,
-            n_frames=n_frames,
-            fps=fps,
-            seconds=seconds,
-            start=start,
-            wave=wave,
-            path=followed,
-            scale=model.representation.scale,
-            events=found,
-            conditioner=conditioner,
-            features=features,
-            placement=Placement.of(controls, read_pose, on_path=follows),
-        )
+        first, vad = next(iter(conditioners), None), controls["vad"]
+        values = speech_features(first, sound, length, fps, vad)
+        self.n_frames = n_frames = len(values)
+        self.features = {} if first is None else {first: values}
+        for other in conditioners[1:]:
+            values = other.silence(n_frames) if wave is None else other(wave, n_frames, vad)
+            self.features[other] = values
+        self.wave = wave
+        self.start = None if begin is None else begin.noised(n_frames, controls["change"])
+        self.place = (0.0, 0.0, 0.0)
+        if begin is not None:
+            self.place = (*begin.path.positions[0], begin.path.headings[0])
+        self.state = _known_state(members, controls, self.start, n_frames)
+        self.path = None if followed is None else smooth_path(followed, fps, n_frames)
+        self.events = None if events is None else asked_events(events, wave)
+        read_pose = partial(pose_on_rig, model.representation)
+        self.placement = Placement.of(controls, read_pose, on_path=model.conditions.path)
 
     def condition(self, conditions: Conditions) -> np.ndarray:
         """Return a model's condition (T, C) float32, with its style and state left at zero."""
-        speech, conditioner = None, conditions.conditioner
-        if conditioner is not None and conditioner is self.conditioner:
-            speech = self.features
-        elif conditioner is not None:
-            wave, n_frames = self.wave, self.n_frames
-            if wave is None:
-                speech = conditioner.silence(n_frames)
-            else:
-                speech = conditioner(wave, n_frames, self.controls["vad"])
-        events = None
+        speech = events = path = None
+        if conditions.conditioner is not None:
+            speech = self.features[conditions.conditioner]
         if self.events is not None:
             events = [event for event in self.events if event.name in conditions.events]
-        path = None
         if conditions.path and self.path is not None:
-            path = self.path.scaled(1 / self.scale)
+            path = self.path.scaled(1 / self.model.representation.scale)
         return conditions.encode(self.n_frames, self.fps, speech=speech, path=path, events=events)
+
+
+def _conditioners(
+    members: Sequence[Member], controls: DiffusionControls
+) -> list[SpeechConditioner]:
+    """Return the conditioners of all models with speech input, each once."""
+    models = [*(member.model for member in members), controls["unconditional"]]
+    conditioners = (m.conditions.conditioner for m in models if isinstance(m, TrainedModel))
+    return [known for known in dict.fromkeys(conditioners) if known is not None]
+
+
+def _known_state(
+    members: Sequence[Member],
+    controls: DiffusionControls,
+    start: tuple[Tensor, int] | None,
+    n_frames: int,
+) -> np.ndarray | None:
+    """Return the state (C, T) that is given, or that of the motion to start from; else None."""
+    model = next((m.model for m in members if m.model.state_process is not None), None)
+    if model is None or model.state_process is None:
+        return None
+    process = model.state_process
+    if controls["state"] is not None:
+        return given_state(process, controls["state"], n_frames).T
+    if start is None:
+        return None
+    vectors = model.normaliser.inverse(start[0].cpu()).numpy()
+    return measured_state(vectors, model.representation, process.channels, process.fps)
 
 
 def _followed(model: TrainedModel, path: str | Path | RootPath | Motion | None) -> RootPath | None:
@@ -179,74 +189,58 @@ def check_events(events: str | Path, models: Sequence[Conditions]) -> None:
         check_event(event, known)
 
 
-@dataclass(frozen=True, eq=False)
 class SDEditStart:
     """Motion from which sampling starts instead of from pure noise (SDEdit, Meng et al. 2022).
 
     The motion is noised up to some step of the schedule and denoised from there. Structure coarser
     than the noise is kept.
 
-    Attributes:
+    Args:
         model: the model that continues from it.
+        like: a motion of any human rig, or its file.
+
+    Attributes:
         motion: on the model's rig, at its frame rate.
+        path: of its root over the ground.
         lift: metres that the motion must be raised to stand on the model's floor.
-        step: of the noise schedule, up to which the motion is noised.
+
+    Raises:
+        ModelError: the motion cannot be put on the rig.
+        FormatError: a file that cannot be read.
     """
 
-    model: TrainedModel
-    motion: Motion
-    lift: float
-    step: int
+    def __init__(self, model: TrainedModel, like: str | Path | Motion) -> None:
+        given = like if isinstance(like, Motion) else Motion.load(like)
+        motion = on_rig(model.representation, given)
+        self.model, self.motion, self.lift = model, motion.resample(model.fps), 0.0
+        if motion is not given:
+            # The floor of a foreign file is unknown; that of this rig is known.
+            self.lift = _floor_of_model(model) - floor_height(motion)
+        self.path = model.representation.path_of(self.motion)
 
-    @classmethod
-    def build(cls, model: TrainedModel, like: str | Path | Motion, change: float) -> SDEditStart:
-        """Put a motion on the model's rig and choose the noise level.
+    def noised(self, n_frames: int, change: float) -> tuple[Tensor, int]:
+        """Return the normalised motion (T, X) and the step up to which it is noised.
 
         Args:
-            model: the model that continues from it.
-            like: a motion of any human rig, or its file.
+            n_frames: T; the motion is cut, or extended with its last pose.
             change: above 0, at most 1: the noise level, from the first step of the schedule to the
                 last one with any signal, evenly in log signal-to-noise ratio. It is also the
                 fraction of a few-step solver's steps that remain.
-
-        Raises:
-            ModelError: the motion cannot be put on the rig.
-            FormatError: a file that cannot be read.
         """
-        given = like if isinstance(like, Motion) else Motion.load(like)
-        motion, lift = on_rig(model.representation, given), 0.0
-        if motion is not given:
-            # The floor of a foreign file is unknown; that of this rig is known.
-            lift = _floor_of_model(model) - floor_height(motion)
-        motion = motion.resample(model.fps)
+        model, representation = self.model, self.model.representation
+        values = representation.encode(self.motion.resample(model.fps, n_frames))
+        values[:, representation.height_column] += self.lift / representation.scale
+        vectors = model.normaliser.forward(torch.from_numpy(values).float())
         level = model.schedule.log_snr()[: last_step_with_signal(model.schedule) + 1]
         wanted = level[0] + change * (level[-1] - level[0])
-        return cls(model, motion, lift, int((level - wanted).abs().argmin()))
-
-    @property
-    def path(self) -> RootPath:
-        """The path of its root over the ground."""
-        return self.model.representation.path_of(self.motion)
-
-    @property
-    def place(self) -> tuple[float, float, float]:
-        """x and z in metres and heading in radians of its first frame."""
-        path = self.path
-        return (*path.positions[0], path.headings[0])
-
-    def clean(self, n_frames: int) -> Tensor:
-        """Return the normalised motion (T, X), cut or extended with its last pose to T frames."""
-        own = self.model.representation
-        values = own.encode(self.motion.resample(self.model.fps, n_frames))
-        values[:, own.height_column] += self.lift / own.scale
-        vectors = self.model.normaliser.forward(torch.from_numpy(values).float())
         # Another rig may bend joints that hardly move in the training data.
-        return vectors.clamp(-MAX_DEVIATION, MAX_DEVIATION).to(self.model.device)
+        clean = vectors.clamp(-MAX_DEVIATION, MAX_DEVIATION).to(model.device)
+        return clean, int((level - wanted).abs().argmin())
 
 
 def _floor_of_model(model: TrainedModel) -> float:
     """Return the height of the lowest joint in the rig's mean pose, in metres."""
-    own = model.representation
-    height = float(model.normaliser.mean[own.height_column]) * own.scale
+    rig = model.representation
+    height = float(model.normaliser.mean[rig.height_column]) * rig.scale
     place = np.array([[0.0, height, 0.0]])
-    return floor_height(own.assemble(own.fixed_pose(1), place, model.fps, None))
+    return floor_height(rig.assemble(rig.fixed_pose(1), place, model.fps, None))

@@ -1,21 +1,25 @@
-"""Sampling of a request: check its controls, denoise, decode, smooth and lock feet."""
+"""Sampling of a request: check its controls, denoise, decode, smooth and lock feet.
+
+The network's cost and memory are linear in the length: minutes are predicted at once, hours tile by
+tile. Where two tiles overlap, their predictions are cross-faded at every denoising step: both tiles
+continue from the same noisy motion, so there are no seams.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.sampling.drawn_state import check_guidance
-from gesturekit.diffusion.sampling.experts import clip_denoised
-from gesturekit.diffusion.sampling.product import ModelProduct, product_of
+from gesturekit.diffusion.noise_schedule import Predict, chosen_steps, clip_denoised, sample
+from gesturekit.diffusion.sampling.experts import Expert, experts_of, predicted_noise, product
+from gesturekit.diffusion.sampling.members import Member, product_members
 from gesturekit.diffusion.sampling.request import Request, check_events
-from gesturekit.diffusion.sampling.solvers import Predict, chosen_steps, sample
-from gesturekit.diffusion.sampling.tiling import tiled
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
@@ -24,9 +28,14 @@ from gesturekit.progress import Progress
 from gesturekit.state.given import check_drawn
 from gesturekit.training.seeds import rng_for
 
+OVERLAP = 150
+"""Least overlap of neighbouring tiles in frames, or a quarter of a tile if that is less. Tiles are
+cross-faded over the middle third of the overlap; each outer third belongs to the tile whose border
+is farther away."""
 
-def check_controls(model: TrainedModel, controls: DiffusionControls, samples: int) -> ModelProduct:
-    """Check the controls that do not depend on the speech, and return the product of models.
+
+def check_controls(model: TrainedModel, controls: DiffusionControls, samples: int) -> list[Member]:
+    """Check the controls that do not depend on the speech, and return the models of the product.
 
     Raises:
         ModelError: a control, style, event or speaker that the model does not have, or experts that
@@ -45,90 +54,69 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
             if value != unset:
                 raise ModelError(f"{name}={value}: the model follows a path, which places the body")
     check_drawn(controls, model.state_process)
-    check_guidance(controls, model)
-    product = ModelProduct.build(model, controls)
-    product.check_styles()
+    members = product_members(model, controls)
     if controls["events"] is not None:
-        models = [model, *(expert[0] for expert in controls["experts"])]
-        check_events(controls["events"], [one.conditions for one in models])
+        check_events(controls["events"], [member.model.conditions for member in members])
     if controls["like"] is None:
         chosen_steps(model.schedule, controls["steps"])
-    return product
+    return members
 
 
-class Sampler:
-    """Generate the motions of a request.
-
-    Args:
-        model: the trained model.
-        product: the models whose predictions are combined; the first is `model`.
-        request: the request.
-    """
-
-    def __init__(self, model: TrainedModel, product: ModelProduct, request: Request) -> None:
-        self.model, self.product, self.request = model, product, request
-
-    def motions(self, seed: int, item: str, samples: int) -> list[Motion]:
-        """Generate the samples of an item with the numbers 0 to `samples` - 1."""
-        request, smooth = self.request, self.request.controls["smooth"]
-        smooth = self.model.smooth if smooth is None else smooth
-        motions = []
-        with closing(self._vectors(seed, item, samples)) as batches:
-            for vector in (vector for vectors in batches for vector in vectors.cpu()):
-                motion = self._decoded(vector)
+def sampled_motions(request: Request, samples: int) -> list[Motion]:
+    """Generate the samples of a request with the numbers 0 to `samples` - 1."""
+    model, controls, motions = request.model, request.controls, []
+    smooth = model.smooth if controls["smooth"] is None else controls["smooth"]
+    clip = model.clip_denoised if controls["clip_denoised"] is None else controls["clip_denoised"]
+    steps, last = controls["steps"], None if request.start is None else request.start[1]
+    solver = controls["solver"] or ("ancestral" if steps is None else "dpm")
+    if steps is not None and last is not None:
+        steps = min(steps, last + 1)
+    visited = len(chosen_steps(model.schedule, steps, last))
+    # One at a time by default: batching changes the order of sums, and the last digits of a
+    # sample would depend on the number of samples.
+    size = controls["batch"]
+    batches = [range(k, min(k + size, samples)) for k in range(0, samples, size)]
+    with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
+        for numbers in batches:
+            experts = product(experts_of(request, numbers))
+            predict = tiled(experts, request.n_frames, model.window)
+            predict = clip_denoised(predict, model.schedule) if clip else predict
+            vectors = sample(
+                _counted(predict, progress),
+                partial(_noise, request, numbers),
+                model.schedule,
+                solver=solver,
+                steps=steps,
+                start=request.start,
+            )
+            for vector in vectors.cpu():
+                motion = _decoded(request, vector)
                 motion = smooth_motion(motion, smooth) if smooth else motion
-                if request.controls["foot_lock"]:
+                if controls["foot_lock"]:
                     motion = lock_feet(motion, keep_path=request.path is not None)
                 motions.append(motion)
-        return motions
+    return motions
 
-    def _vectors(self, seed: int, item: str, samples: int) -> Generator[Tensor]:
-        """Yield normalised motion vectors (B, T, X), batch by batch."""
-        model, request, start = self.model, self.request, self.request.start
-        controls, terms, begin = request.controls, self.product.terms(request), None
-        steps = controls["steps"]
-        solver = controls["solver"] or ("ancestral" if steps is None else "dpm")
-        if start is not None:
-            begin = (start.clean(request.n_frames), start.step)
-            steps = None if steps is None else min(steps, start.step + 1)
-        visited = len(chosen_steps(model.schedule, steps, None if start is None else start.step))
-        clip = controls["clip_denoised"]
-        clip = model.clip_denoised if clip is None else clip
-        # One at a time by default: batching changes the order of sums, and the last digits of a
-        # sample would depend on the number of samples.
-        size = controls["batch"]
-        batches = [range(k, min(k + size, samples)) for k in range(0, samples, size)]
-        with Progress(total=len(batches) * visited, desc="Denoising", unit="step") as progress:
-            for numbers in batches:
-                predict = tiled(product_of(terms, seed, item, numbers), model.window)
-                predict = clip_denoised(predict, model.schedule) if clip else predict
-                predict = _counted(predict, progress)
-                shape = (request.n_frames, model.network.n_motion)
-                noise = _noise(seed, item, numbers, shape, model.device)
-                yield sample(
-                    predict, noise, model.schedule, solver=solver, steps=steps, start=begin
-                )
 
-    def _decoded(self, vector: Tensor) -> Motion:
-        """Return the motion of a normalised motion vector (T, X)."""
-        model, request = self.model, self.request
-        speaker, start = request.controls["speaker"], request.start
-        values = model.normaliser.inverse(vector).double().numpy()
-        if not np.isfinite(values).all():
-            raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
-        try:
-            return model.representation.decode(
-                values,
-                model.fps,
-                skeleton=None if speaker is None else model.speakers[speaker],
-                path=request.path,
-                start=(0.0, 0.0, 0.0) if start is None else start.place,
-            )
-        except MotionError as error:
-            raise ModelError(
-                f"the generated motion is out of range ({error}); the model was trained too "
-                "little, or the expert weights are too extreme"
-            ) from None
+def _decoded(request: Request, vector: Tensor) -> Motion:
+    """Return the motion of a normalised motion vector (T, X)."""
+    model, speaker = request.model, request.controls["speaker"]
+    values = model.normaliser.inverse(vector).double().numpy()
+    if not np.isfinite(values).all():
+        raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
+    try:
+        return model.representation.decode(
+            values,
+            model.fps,
+            skeleton=None if speaker is None else model.speakers[speaker],
+            path=request.path,
+            start=request.place,
+        )
+    except MotionError as error:
+        raise ModelError(
+            f"the generated motion is out of range ({error}); the model was trained too "
+            "little, or the expert weights are too extreme"
+        ) from None
 
 
 def _counted(predict: Predict, progress: Progress) -> Predict:
@@ -141,13 +129,82 @@ def _counted(predict: Predict, progress: Progress) -> Predict:
     return counted
 
 
-def _noise(
-    seed: int, item: str, numbers: Sequence[int], shape: tuple[int, int], device: torch.device
-) -> Callable[[int], Tensor]:
-    """Return the noise (B, T, X) of each step, from (seed, item, sample, step), on the CPU."""
+def _noise(request: Request, numbers: Sequence[int], step: int) -> Tensor:
+    """Return the noise (B, T, X) of a step, from (seed, item, sample, step), on the CPU."""
+    seed, item, model = request.seed, request.item, request.model
+    rngs = (rng_for(seed, item, "sample", number, "noise", step) for number in numbers)
+    shape = (request.n_frames, model.network.n_motion)
+    return torch.stack([torch.randn(shape, generator=rng) for rng in rngs]).to(model.device)
 
-    def noise_at(step: int) -> Tensor:
-        rngs = (rng_for(seed, item, "sample", number, "noise", step) for number in numbers)
-        return torch.stack([torch.randn(shape, generator=rng) for rng in rngs]).to(device)
 
-    return noise_at
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """Frames first (included) to last (excluded), with weights (last - first,) float32."""
+
+    first: int
+    last: int
+    weights: np.ndarray
+
+
+def tiles_of(n_frames: int, size: int) -> list[Tile]:
+    """Return evenly spaced tiles of at most `size` frames; weights add up to 1 at each frame.
+
+    Raises:
+        ModelError: tiles of less than four frames.
+    """
+    if size < 4:
+        raise ModelError(f"window: {size} frames; give at least 4")
+    if n_frames <= size:
+        return [Tile(0, n_frames, np.ones(n_frames, np.float32))]
+    overlap = min(OVERLAP, size // 4)
+    count = -(-(n_frames - overlap) // (size - overlap))
+    size = -(-(n_frames + (count - 1) * overlap) // count)
+    starts = [round(k * (n_frames - size) / (count - 1)) for k in range(count)]
+    rising = [np.ones(size)]
+    for before, start in zip(starts, starts[1:], strict=False):
+        shared = before + size - start
+        third = shared / 3
+        rising.append(np.clip((np.arange(size) + 0.5 - third) / third, 0.0, 1.0))
+    tiles = []
+    for k, start in enumerate(starts):
+        weights = rising[k].copy()
+        if k + 1 < count:
+            shared = starts[k + 1] - start
+            weights[shared:] -= rising[k + 1][: size - shared]
+        tiles.append(Tile(start, start + size, weights.astype(np.float32)))
+    return tiles
+
+
+def tiled(experts: Sequence[Expert], n_frames: int, size: int) -> Predict:
+    """Return the prediction of a product, in tiles of `size` frames if the motion is longer.
+
+    In each tile, only experts with a weight there are run. No state that grows with the length is
+    kept between two calls.
+    """
+    tiles = tiles_of(n_frames, size)
+    if len(tiles) == 1:
+        return lambda noisy, step: predicted_noise(experts, noisy, step)
+
+    def predict(noisy: Tensor, step: int) -> Tensor:
+        total = torch.zeros_like(noisy)
+        for tile in tiles:
+            frames = slice(tile.first, tile.last)
+            weights = torch.from_numpy(tile.weights).to(noisy.device, noisy.dtype)
+            predicted = predicted_noise(_within(experts, frames), noisy[:, frames], step)
+            total[:, frames] += weights[:, None] * predicted
+        return total
+
+    return predict
+
+
+def _within(experts: Sequence[Expert], frames: slice) -> list[Expert]:
+    """Return the experts with a weight in these frames, cut to them."""
+    cut = [
+        replace(
+            expert,
+            condition=expert.condition[:, frames],
+            weight=expert.weight[frames] if expert.weight.size > 1 else expert.weight,
+        )
+        for expert in experts
+    ]
+    return [expert for expert in cut if np.abs(expert.weight).max() > 0]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +14,14 @@ from torch import Tensor
 
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.state import measured
-from gesturekit.diffusion.training.augmentation import Rows
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
+from gesturekit.diffusion.trained_model import learnt_tensors, read_learnt
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.state.channels import StateChannels
-from gesturekit.state.format import load_state, state_tensors, state_values
+from gesturekit.state.format import state_values
 from gesturekit.state.process import StateProcess
-from gesturekit.training.data.arrays import ArrayFolder, StoredArray, StoredFrames
+from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray
 from gesturekit.training.data.features import stored_speech
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
@@ -31,23 +29,65 @@ from gesturekit.training.model_folder import load_data, read_speakers, rig_value
 
 
 @dataclass(frozen=True, eq=False)
+class ArrayInMemory:
+    """Array (N, X + W) of a recording, as `VariantArrays` makes it, in memory."""
+
+    values: np.ndarray
+    facts: Mapping[str, Any]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """N and X + W."""
+        return self.values.shape
+
+    def rows(self, start: int, stop: int) -> np.ndarray:
+        """Return frames `start` to `stop`, (stop - start, X + W)."""
+        return self.values[start:stop]
+
+
+VariantArray = ArrayInMemory | StoredArray
+
+
+@dataclass(frozen=True, eq=False)
 class StoredRows:
-    """Frames (T, D) of a recording on disk, of which `[start:stop]` reads some.
+    """Frames (T, D) of a recording, of which `[start:stop]` reads some.
 
     Attributes:
+        array: of the recording and its variants.
+        first: its first row that belongs to them.
         n_frames: T.
-        read: returns frames `start` to `stop`, (stop - start, D) float32.
+        columns: of the array.
+        n_speech: number of speech features before these columns.
+        speech: (n_speech, T) the features; None for zeros.
+        state: returns the state of movement (T, C) that follows; None for none.
     """
 
+    array: VariantArray
+    first: int
     n_frames: int
-    read: Callable[[int, int], np.ndarray]
+    columns: slice
+    n_speech: int = 0
+    speech: Frames | None = None
+    state: Callable[[], np.ndarray] | None = None
 
     def __len__(self) -> int:
         return self.n_frames
 
     def __getitem__(self, frames: slice) -> np.ndarray:
         start, stop, _ = frames.indices(self.n_frames)
-        return self.read(start, stop)
+        values = []
+        if self.speech is not None:
+            values.append(self.speech[:, start:stop].numpy().T)
+        elif self.n_speech:
+            values.append(np.zeros((stop - start, self.n_speech), np.float32))
+        if not values or self.columns.start < self.array.shape[1]:
+            values.append(self.array.rows(self.first + start, self.first + stop)[:, self.columns])
+        if self.state is not None:
+            values.append(self.state()[start:stop])
+        return np.ascontiguousarray(np.concatenate(values, axis=1))
+
+
+Rows = np.ndarray | StoredRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +111,18 @@ class TrainingSequence:
         """T."""
         return len(self.motion)
 
+    def in_memory(self) -> TrainingSequence:
+        """Return the sequence with all its frames in memory."""
+        return replace(self, motion=self.motion[:], condition=self.condition[:])
+
 
 Cut = tuple[int, int, int]
 """Index of a sequence, first frame and end."""
 
 
 @dataclass(frozen=True, eq=False)
-class StoredVariant:
-    """A variant of a recording: part of an array that `VariantArrays` made.
+class Variant:
+    """A variant of a recording: part of its array.
 
     Attributes:
         which: index of the recording.
@@ -92,104 +136,80 @@ class StoredVariant:
     which: int
     phase: int
     mirrored: bool
-    array: StoredArray
+    array: VariantArray
     first: int
     n_frames: int
 
-    def sequence(
-        self, width: int, n_speech: int, speech: StoredFrames | None, *, is_paired: bool
-    ) -> TrainingSequence:
-        """Return the variant as training data; its frames are not read yet.
 
-        Args:
-            width: X, of a motion vector.
-            n_speech: S, of speech features.
-            speech: (S, T) of its phase; None for zeros.
-            is_paired: False for unpaired motion.
-        """
-        n_frames = self.n_frames if speech is None else min(self.n_frames, speech.shape[1])
-
-        def rows(start: int, stop: int) -> np.ndarray:
-            return self.array.rows(self.first + start, self.first + stop)
-
-        def motion(start: int, stop: int) -> np.ndarray:
-            return np.ascontiguousarray(rows(start, stop)[:, :width])
-
-        def condition(start: int, stop: int) -> np.ndarray:
-            features = np.zeros((stop - start, n_speech), np.float32)
-            if speech is not None:
-                features = speech[:, start:stop].numpy().T
-            if self.array.shape[1] == width:
-                return np.ascontiguousarray(features)
-            return np.concatenate([features, rows(start, stop)[:, width:]], axis=1)
-
-        name = self.array.facts["id"] + (f" (phase {self.phase + 1})" if self.phase else "")
-        return TrainingSequence(
-            f"{name} (mirrored)" if self.mirrored else name,
-            StoredRows(n_frames, motion),
-            StoredRows(n_frames, condition),
-            is_paired,
-        )
-
-
-def stored_variants(arrays: Sequence[StoredArray]) -> list[StoredVariant]:
+def variants_of(arrays: Sequence[VariantArray]) -> list[Variant]:
     """Return the variants of recordings in the order of training data, mirrored copies last."""
-    found = []
+    variants = []
     for which, array in enumerate(arrays):
         first = 0
         for mirrored in (False, True)[: 1 + array.facts["mirrored"]]:
             for phase, n_frames in enumerate(array.facts["lengths"]):
-                found.append(StoredVariant(which, phase, mirrored, array, first, n_frames))
+                variants.append(Variant(which, phase, mirrored, array, first, n_frames))
                 first += n_frames
-    return sorted(found, key=lambda one: one.mirrored)
+    return sorted(variants, key=lambda variant: variant.mirrored)
 
 
-@dataclass(frozen=True)
-class StoredCorpus:
-    """Names of the arrays of a corpus in their folder.
+def sequences_of(
+    variants: Sequence[Variant],
+    speech: Sequence[Frames],
+    conditions: Conditions,
+    width: int,
+    n_paired: int,
+) -> tuple[TrainingSequence, ...]:
+    """Return variants as training data; their frames are not read yet.
 
-    Attributes:
-        motion: of the recordings, made by `VariantArrays`.
-        speech: of their phases, made by `SpeechArrays`; empty without speech input.
-        unpaired: of recordings without speech.
+    Args:
+        variants: of all recordings.
+        speech: (S, T) of each phase of the paired recordings; empty without speech input.
+        conditions: the layout of conditions.
+        width: X, of a motion vector.
+        n_paired: number of paired recordings, which are the first ones.
     """
+    phases = ((v.which, v.phase) for v in variants if not v.mirrored)
+    speech_of = dict(zip(phases, speech, strict=False))
+    n_speech, sequences = conditions.columns["speech"].stop, []
+    for variant in variants:
+        features, n_frames = speech_of.get((variant.which, variant.phase)), variant.n_frames
+        n_frames = n_frames if features is None else min(n_frames, features.shape[1])
+        rows = partial(StoredRows, variant.array, variant.first, n_frames)
+        name = variant.array.facts["id"]
+        name += f" (phase {variant.phase + 1})" if variant.phase else ""
+        name += " (mirrored)" if variant.mirrored else ""
+        motion, condition = rows(slice(0, width)), rows(slice(width, None), n_speech, features)
+        sequences.append(TrainingSequence(name, motion, condition, variant.which < n_paired))
+    return tuple(sequences)
 
-    motion: Sequence[str]
-    speech: Sequence[str]
-    unpaired: Sequence[str]
 
-    def sequences(
-        self, config: DiffusionConfig, conditions: Conditions, width: int
-    ) -> tuple[TrainingSequence, ...]:
-        """Return all recordings and their variants; their frames are not read yet.
+def names_of(arrays: Sequence[VariantArray]) -> list[str]:
+    """Return the names of arrays on disk in their folder."""
+    return [array.path.stem for array in arrays if isinstance(array, StoredArray)]
 
-        Args:
-            config: of the run.
-            conditions: the layout of conditions.
-            width: X, of a motion vector.
 
-        Raises:
-            ConfigError: an array is missing or not whole.
-        """
-        folder, paired = ArrayFolder(config.arrays_folder), len(self.motion)
-        variants = stored_variants(folder.find_all((*self.motion, *self.unpaired)))
-        speech: dict[tuple[int, int], StoredFrames] = {}
-        if conditions.conditioner is not None:
-            phases = [one for one in variants if one.which < paired and not one.mirrored]
-            found = stored_speech(
-                folder.find_all(self.speech),
-                conditions.conditioner,
-                [phase.n_frames for phase in phases],
-            )
-            numbers = [(phase.which, phase.phase) for phase in phases]
-            speech = dict(zip(numbers, found, strict=True))
-        n_speech = conditions.columns["speech"].stop
-        return tuple(
-            one.sequence(
-                width, n_speech, speech.get((one.which, one.phase)), is_paired=one.which < paired
-            )
-            for one in variants
-        )
+def stored_sequences(
+    names: Mapping[str, Sequence[str]], config: DiffusionConfig, conditions: Conditions, width: int
+) -> tuple[TrainingSequence, ...]:
+    """Return all recordings on disk and their variants; their frames are not read yet.
+
+    Args:
+        names: see `TrainingData.stored`.
+        config: of the run.
+        conditions: the layout of conditions.
+        width: X, of a motion vector.
+
+    Raises:
+        ConfigError: an array is missing or not whole.
+    """
+    folder, speech = ArrayFolder(config.arrays_folder), []
+    variants = variants_of(folder.find_all((*names["motion"], *names["unpaired"])))
+    if conditions.conditioner is not None:
+        lengths = [variant.n_frames for variant in variants if not variant.mirrored]
+        arrays = folder.find_all(names["speech"])
+        speech = stored_speech(arrays, conditions.conditioner, lengths[: len(arrays)])
+    return sequences_of(variants, speech, conditions, width, len(names["motion"]))
 
 
 def motion_of(
@@ -213,20 +233,17 @@ def with_state(
 
     The state of a recording on disk is measured when it is first used, and kept in memory.
     """
-    condition = recording.condition
 
     @cache
     def state() -> np.ndarray:
-        values = measured(recording.motion[:], representation, process.channels, process.fps)
+        motion = recording.motion[:]
+        values = measured_state(motion, representation, process.channels, process.fps)
         return process.given(values).T.astype(np.float32)
 
-    if isinstance(condition, np.ndarray):
-        return replace(recording, condition=np.concatenate([condition, state()], axis=1))
-
-    def read(start: int, stop: int) -> np.ndarray:
-        return np.concatenate([condition[start:stop], state()[start:stop]], axis=1)
-
-    return replace(recording, condition=StoredRows(recording.n_frames, read))
+    condition = recording.condition
+    if isinstance(condition, StoredRows):
+        return replace(recording, condition=replace(condition, state=state))
+    return replace(recording, condition=np.concatenate([condition, state()], axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +261,8 @@ class TrainingData:
         recorded_fps: the most common frame rate of the recordings.
         start: weights of the network to start from, by name; empty for random ones.
         sampled: parts of `recordings` from which statistics are computed; None for all of them.
-        stored: of recordings on disk, what `load` finds them by.
+        stored: of recordings on disk, the names of their arrays of "motion", of the "speech" of
+            their phases, and of "unpaired" motion; None in memory.
         state_process: of the state of movement; None without it.
     """
 
@@ -258,8 +276,13 @@ class TrainingData:
     sources: tuple[TrainedSegment, ...]
     start: Mapping[str, Tensor] = field(default_factory=dict)
     sampled: tuple[Cut, ...] | None = None
-    stored: StoredCorpus | None = None
+    stored: Mapping[str, Sequence[str]] | None = None
     state_process: StateProcess | None = None
+
+    @property
+    def paired(self) -> list[TrainingSequence]:
+        """Recordings with their conditions, without unpaired motion."""
+        return [recording for recording in self.recordings if recording.is_paired]
 
     def decode(self, values: np.ndarray, condition: np.ndarray, fps: float) -> Motion:
         """Decode a motion from unnormalised motion vectors (T, X) and its condition (T, C)."""
@@ -284,22 +307,17 @@ class TrainingData:
 
     def save(self, folder: Path) -> None:
         """Write the data to a folder, for resuming the run."""
-        tensors = {
-            "motion.mean": self.normaliser.mean,
-            "motion.scale": self.normaliser.scale,
-            **self.conditions.to_tensors(),
-            **start_tensors(self.start),
-            **({} if self.state_process is None else state_tensors(self.state_process)),
-        }
-        own = self.recordings if self.stored is None else ()
-        for i, recording in enumerate(own):
+        tensors = learnt_tensors(self.normaliser, self.conditions, self.state_process)
+        tensors |= start_tensors(self.start)
+        in_memory = self.recordings if self.stored is None else ()
+        for i, recording in enumerate(in_memory):
             tensors[f"recording.{i}.motion"] = torch.from_numpy(recording.motion[:])
             tensors[f"recording.{i}.condition"] = torch.from_numpy(recording.condition[:])
         about = {
-            "names": [recording.name for recording in own],
-            "is_paired": [recording.is_paired for recording in own],
+            "names": [recording.name for recording in in_memory],
+            "is_paired": [recording.is_paired for recording in in_memory],
             "sampled": self.sampled,
-            "stored": None if self.stored is None else asdict(self.stored),
+            "stored": self.stored,
             "seconds": list(self.seconds),
             "sources": to_values(self.sources),
             "recorded_fps": self.recorded_fps,
@@ -320,50 +338,37 @@ class TrainingData:
         weights = None if config.features is None else config.features.encoder_places
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
-            paired, unpaired = about["seconds"]
-            skeleton = Skeleton.from_json(about["skeleton"])
-            representation = DeltaRepresentation.from_json(skeleton, about["motion"])
-            conditions = Conditions.from_values(
-                about["conditions"], tensors, config.fps, weights, device
-            )
-            channels = StateChannels.find(skeleton, representation.joints)
-            n_speech = conditions.columns["speech"].stop
-            process = load_state(about["state"], tensors, channels, config.fps, n_speech)
-            stored, sampled = None, None
-            if about["stored"] is None:
-                labels = zip(about["names"], about["is_paired"], strict=True)
+            values = {**about, **about["conditions"]}
+            learnt = read_learnt(values, tensors, config.fps, weights, device)
+            representation, process = learnt["representation"], learnt["state_process"]
+            stored, sampled = about["stored"], None
+            if stored is None:
                 recordings = tuple(
                     TrainingSequence(
                         name,
                         tensors[f"recording.{i}.motion"].numpy(),
                         tensors[f"recording.{i}.condition"].numpy(),
-                        is_paired,
+                        about["is_paired"][i],
                     )
-                    for i, (name, is_paired) in enumerate(labels)
+                    for i, name in enumerate(about["names"])
                 )
             else:
-                stored = StoredCorpus(**about["stored"])
                 sampled = tuple((i, start, stop) for i, start, stop in about["sampled"])
-                recordings = stored.sequences(config, conditions, representation.n_features)
+                width = representation.n_features
+                recordings = stored_sequences(stored, config, learnt["conditions"], width)
                 if process is not None:
-                    recordings = tuple(
-                        with_state(own, process, representation) for own in recordings
-                    )
-            if process is not None:
-                conditions = replace(conditions, state=channels)
+                    recordings = tuple(with_state(r, process, representation) for r in recordings)
+            paired, unpaired = about["seconds"]
             return cls(
+                **learnt,
                 recordings=recordings,
                 seconds=(paired, unpaired),
-                representation=representation,
-                conditions=conditions,
-                normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
                 speakers=read_speakers(about),
                 sources=from_values(about["sources"]),
                 recorded_fps=about["recorded_fps"],
                 start=read_start(tensors),
                 sampled=sampled,
                 stored=stored,
-                state_process=process,
             )
 
         return load_data(folder, assemble)

@@ -2,41 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import torch
 
-from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
-from gesturekit.diffusion.training.augmentation import phase_item
-from gesturekit.diffusion.training.corpus import Corpus, phases_of, read_corpus
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
 from gesturekit.diffusion.training.data import (
+    ArrayInMemory,
     Cut,
-    StoredCorpus,
     TrainingData,
     TrainingSequence,
+    Variant,
+    VariantArray,
     motion_of,
-    stored_variants,
+    names_of,
+    sequences_of,
+    variants_of,
     with_state,
 )
-from gesturekit.diffusion.training.state import fit_state
-from gesturekit.diffusion.training.variants import VariantArrays
+from gesturekit.diffusion.training.recordings import (
+    Corpus,
+    VariantArrays,
+    phase_item,
+    read_corpus,
+)
 from gesturekit.errors import ConfigError
-from gesturekit.motion.motion import Motion
-from gesturekit.motion.root_path import RootPath
+from gesturekit.state.channels import StateChannels
+from gesturekit.state.process import RecordedState, StateProcess
 from gesturekit.training.config import to_dict
-from gesturekit.training.data.arrays import Maker, StoredArray, stored_arrays
+from gesturekit.training.data.arrays import Frames, StoredArray, stored_arrays
 from gesturekit.training.data.features import (
     SpeechArrays,
     extract_features,
     feature_values,
     fit_conditioner,
     raw_speech,
+    stored_speech,
 )
 from gesturekit.training.data.start_model import (
     check_conditions,
@@ -44,82 +51,110 @@ from gesturekit.training.data.start_model import (
     check_settings,
     model_of,
 )
-from gesturekit.training.recordings import Excerpt, systematic_sample
+from gesturekit.training.recordings import Excerpt
 
 _STEP_FLOORS = np.array([0.03, 0.015, 0.015])
 """Least scale of turn, forward and lateral displacement: radians and metres per second."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """Recordings and conditions of a run.
-
-    `parts` are those to which the state of movement is fitted; other fields as in `TrainingData`.
-    """
-
-    recordings: tuple[TrainingSequence, ...]
-    conditions: Conditions
-    seconds: tuple[float, float]
-    rates: Sequence[float]
-    parts: Sequence[tuple[Item, Cut]]
-    sampled: tuple[Cut, ...] | None = None
-    stored: StoredCorpus | None = None
 
 
 def load_training_data(
     config: DiffusionConfig, device: str = "cpu", *, trial: bool = False
 ) -> TrainingData:
     """Read the corpus of a run, or in a trial an excerpt of it; extract features on a device, and
-    normalise.
+    normalise. The data of a long corpus stay on disk, and statistics are those of a sample.
 
     Raises:
         CorpusError: no training item with what the run needs, rigs that differ, or a file that
             cannot be read.
-        ConfigError: a model in `start_from` with other conditions, or one in `start_from` or
-            `moves_like` with another rig.
-        ModelError: such a model cannot be read.
+        ConfigError, ModelError: see `_known_model`.
     """
     # First, so that wrong settings fail before anything is read.
-    speech = None
-    if config.features is not None:
-        speech = SpeechArrays.open(config.features, config.fps, device)
-    start = _start(config)
-    like = _like(config) if start is None else start
+    features, fps = config.features, config.fps
+    speech = None if features is None else SpeechArrays.open(features, fps, device)
+    like = _known_model(config)
+    start = None if config.start_from is None else like
     corpus = read_corpus(config, speech=speech is not None, trial=trial)
     conditions = _conditions(config, corpus, speech, start)
-    if like is None:
-        motions = corpus.motions
-        representation = DeltaRepresentation.fit(motions, config.joints, root=not config.path)
+    representation = _representation(config, corpus, like)
+    conditions, *makers = _makers(config, corpus, conditions, representation)
+    motion, unpaired = _encoded(corpus, *makers)
+    fitted, frames, spoken = _speech(config, corpus, motion, speech, conditions.conditioner)
+    conditions = replace(conditions, conditioner=fitted)
+    variants, width = variants_of([*motion, *unpaired]), representation.n_features
+    recordings = sequences_of(variants, frames, conditions, width, len(motion))
+    sampled = stored = None
+    if corpus.is_in_memory:
+        recordings = tuple(recording.in_memory() for recording in recordings)
     else:
-        representation = _same_rig(like, corpus.motions, config)
-    rig = corpus.recordings.rig(config, config.parts)
-    paired = VariantArrays(config, rig, representation, replace(conditions, conditioner=None))
-    read_all = _in_memory if corpus.recordings.excerpts is None else _on_disk
-    read = read_all(corpus, paired, conditions, speech, start is None)
-    if like is None:
-        motion = motion_of(read.recordings, read.sampled)
-        normaliser = Normaliser.fit(motion, _floors(representation, config.fps))
-    else:
-        normaliser = like.normaliser
-    recordings, conditions, process = read.recordings, read.conditions, None
+        sampled = _sampled(corpus, variants, recordings, fps)
+        kinds = {"motion": motion, "speech": spoken, "unpaired": unpaired}
+        stored = {kind: names_of(arrays) for kind, arrays in kinds.items()}
+    normaliser = None if like is None else like.normaliser
+    if normaliser is None:
+        normaliser = _fit_normaliser(representation, motion_of(recordings, sampled), fps)
+    process = None
     if config.state:
-        process = fit_state(recordings, read.parts, conditions, representation, config.fps)
-        recordings = tuple(with_state(own, process, representation) for own in recordings)
+        about = variants, recordings, sampled, conditions, representation
+        process = _fit_state(config, corpus, *about)
+        recordings = tuple(with_state(r, process, representation) for r in recordings)
         conditions = replace(conditions, state=process.channels)
+    first, second = (sum((a.facts["seconds"] for a in m), 0.0) for m in (motion, unpaired))
     return TrainingData(
         recordings=recordings,
-        seconds=corpus.recordings.lengths if trial else read.seconds,
+        seconds=corpus.recordings.lengths if trial else (first, second),
         representation=representation,
         conditions=conditions,
         normaliser=normaliser,
         state_process=process,
         speakers=corpus.recordings.speakers,
-        sources=corpus.recordings.sources(read.rates),
+        sources=corpus.recordings.sources([array.facts["fps"] for array in motion]),
         recorded_fps=corpus.recordings.recorded_fps,
         start={} if start is None else start.network.state_dict(),
-        sampled=read.sampled,
-        stored=read.stored,
+        sampled=sampled,
+        stored=stored,
     )
+
+
+def _known_model(config: DiffusionConfig) -> DiffusionModel | None:
+    """Load the model of `start_from` or `moves_like`, whose motion vectors this run uses.
+
+    Raises:
+        ConfigError: its settings differ from those of the run.
+        ModelError: it cannot be read.
+    """
+    setting = "moves_like" if config.start_from is None else "start_from"
+    if (folder := getattr(config, setting)) is None:
+        return None
+    weights = None if config.features is None else config.features.encoder_places
+    model = DiffusionModel.load(model_of(folder), weights=weights)
+    check_settings(setting, folder, {"fps": model.fps}, {"fps": config.fps})
+    if setting == "start_from":
+        for name, known in (("network", model.network.config), ("noise", model.noise_config)):
+            values = {f"{name}.{k}": v for k, v in to_dict(known).items() if k != "dropout"}
+            wanted = {f"{name}.{k}": v for k, v in to_dict(getattr(config, name)).items()}
+            check_settings(setting, folder, values, wanted)
+    elif model.representation.makes_root == config.path:
+        follows = "follows a path" if config.path else "moves its root itself"
+        raise ConfigError(f"moves_like: this run {follows} and {folder} does not")
+    return model
+
+
+def _representation(
+    config: DiffusionConfig, corpus: Corpus, like: DiffusionModel | None
+) -> DeltaRepresentation:
+    """Return the representation of a model, checked against the rig of the corpus, or a new one.
+
+    A model to start from gets the bones and body shape of the corpus. With `moves_like` they stay,
+    because motion vectors of experts must have the same unit of length.
+    """
+    motions = [motion for _, motion in corpus.phases]
+    if like is None:
+        return DeltaRepresentation.fit(motions, config.joints, root=not config.path)
+    setting = "moves_like" if config.start_from is None else "start_from"
+    where = getattr(config, setting)
+    check_rig(setting, where, like.skeleton, motions[0].skeleton, config.corpus)
+    known = like.representation
+    return known if setting == "moves_like" else known.on_bones_of(motions)
 
 
 def _conditions(
@@ -133,207 +168,164 @@ def _conditions(
     if start is None or config.start_from is None:
         return new
     wanted = new.to_values()
-    if speech is not None and config.features is not None:
-        wanted["features"] = feature_values(speech.extractor, config.features)
+    if speech is not None:
+        wanted["features"] = feature_values(speech.extractor, speech.settings)
     check_conditions(config.start_from, start.conditions.to_values(), wanted)
     if start.state_process is not None and not config.state:
         raise ConfigError(f"start_from: {config.start_from} has state: true, this run none")
     return replace(start.conditions, state=None)
 
 
-def _in_memory(
+def _makers(
+    config: DiffusionConfig,
     corpus: Corpus,
-    paired: VariantArrays,
     conditions: Conditions,
+    representation: DeltaRepresentation,
+) -> tuple[Conditions, VariantArrays, VariantArrays]:
+    """Return the conditions, and what encodes paired and unpaired recordings.
+
+    Unless a model to start from has them, mean and scale of the paths' displacements are fitted to
+    the recordings that were read.
+    """
+    rig = corpus.recordings.rig(config, config.parts)
+    paired = VariantArrays(config, rig, representation, conditions)
+    alone = replace(paired, rig=corpus.unpaired_rig)
+    if config.path and config.start_from is None:
+        deltas = np.concatenate(
+            [
+                maker.path(*phase).scaled(1 / representation.scale).deltas()
+                for maker, recordings in ((paired, corpus.read), (alone, corpus.unpaired))
+                for recording in recordings
+                for phase in recording.phases
+            ]
+        )
+        scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / config.fps)
+        conditions = replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
+    without_speech = replace(conditions, conditioner=None)
+    paired, alone = (replace(maker, conditions=without_speech) for maker in (paired, alone))
+    return conditions, paired, alone
+
+
+def _encoded(
+    corpus: Corpus, paired: VariantArrays, alone: VariantArrays
+) -> Sequence[Sequence[VariantArray]]:
+    """Return arrays of the recordings and of unpaired motion; on disk, missing ones are made."""
+    if corpus.is_in_memory:
+        both = (paired, corpus.read), (alone, corpus.unpaired)
+        return [[ArrayInMemory(*maker.encode(r)) for r in recordings] for maker, recordings in both]
+    wanted = [(paired, corpus.recordings.items), (alone, corpus.recordings.unpaired)]
+    return stored_arrays(paired.config.arrays_folder, wanted, paired.config.workers)
+
+
+def _speech(
+    config: DiffusionConfig,
+    corpus: Corpus,
+    motion: Sequence[VariantArray],
     speech: SpeechArrays | None,
-    fits: bool,
-) -> _Read:
-    """Return all recordings and their variants in memory.
+    fitted: SpeechConditioner | None,
+) -> tuple[SpeechConditioner | None, list[Frames], list[StoredArray]]:
+    """Return a conditioner, the features (S, T) of each phase, and their arrays on disk.
 
     Args:
-        corpus: of the run, read whole.
-        paired: encodes its recordings.
-        conditions: see `_conditions`.
-        speech: extracts features; None without speech input.
-        fits: whether conditions are fitted to the recordings.
+        config: of the run.
+        corpus: of the run.
+        motion: arrays of its recordings.
+        speech: extracts features; None for a model without speech input.
+        fitted: conditioner of the model to start from, which is kept; None fits one.
     """
-    config, n_paired = paired.config, len(corpus.items)
-    takes = [paired.take(*one) for one in zip(corpus.items, corpus.motions, strict=True)]
-    alone, unpaired_seconds = replace(paired, rig=corpus.unpaired_rig), 0.0
-    for item in corpus.unpaired:
-        motion = alone.rig.load(item)
-        unpaired_seconds += motion.duration
-        takes += [alone.take(*phase) for phase in phases_of(item, motion, config.fps)]
-    if fits and config.path:
-        conditions = _with_path_scale(conditions, [take.path for take in takes], paired)
-    speeches: list[np.ndarray | None] = [None] * len(takes)
-    if speech is not None and config.features is not None:
-        lengths = [motion.n_frames for motion in corpus.motions]
-        conditioner, speeches[:n_paired] = extract_features(
-            corpus.items,
-            lengths,
-            speech.extractor,
-            config.fps,
-            config.features,
-            conditions.conditioner,
-        )
-        conditions = replace(conditions, conditioner=conditioner)
-    own = replace(conditions, conditioner=None)
-    makers = [replace(paired, conditions=own)] * n_paired
-    makers += [replace(alone, conditions=own)] * (len(takes) - n_paired)
-    n_speech = conditions.columns["speech"].stop
-    plain, mirrored = [], []
-    for maker, take, features in zip(makers, takes, speeches, strict=True):
-        rows = maker.rows(take)
-        if features is None:
-            features = np.zeros((len(rows), n_speech), np.float32)
-        plain.append(maker.sequence(take.name, rows, features))
-        if maker.is_mirrored(take.style):
-            rows = maker.mirrored_rows(take, rows)
-            mirrored.append(maker.sequence(f"{take.name} (mirrored)", rows, features))
-    seconds = corpus.seconds, unpaired_seconds
-    parts = [(item, (i, 0, plain[i].n_frames)) for i, item in enumerate(corpus.items)]
-    return _Read((*plain, *mirrored), conditions, seconds, corpus.recordings.rates, parts)
-
-
-def _on_disk(
-    corpus: Corpus,
-    paired: VariantArrays,
-    conditions: Conditions,
-    speech: SpeechArrays | None,
-    fits: bool,
-) -> _Read:
-    """Return all recordings and their variants on disk; arrays that are missing are made.
-
-    Conditions are fitted to a sample; see `_in_memory` for the arguments.
-    """
-    config, items = paired.config, corpus.recordings.items
-    alone = replace(paired, rig=corpus.unpaired_rig)
-    others = systematic_sample(corpus.unpaired, 60 * config.in_memory)
-    if fits and config.path:
-        paths = [paired.take(*one).path for one in zip(corpus.items, corpus.motions, strict=True)]
-        for item in (excerpt.of(corpus.unpaired) for excerpt in others):
-            phases = phases_of(item, alone.rig.load(item), config.fps)
-            paths += [alone.take(*phase).path for phase in phases]
-        conditions = _with_path_scale(conditions, paths, paired)
-    own = replace(conditions, conditioner=None)
-    wanted: list[tuple[Maker, Sequence[Item]]] = [
-        (replace(paired, conditions=own), items),
-        (replace(alone, conditions=own), corpus.unpaired),
+    if speech is None:
+        return None, [], []
+    if corpus.is_in_memory:
+        items = [item for item, _ in corpus.phases]
+        lengths = [motion.n_frames for _, motion in corpus.phases]
+        about = speech.extractor, speech.fps, speech.settings
+        conditioner, values = extract_features(items, lengths, *about, fitted)
+        return conditioner, [torch.from_numpy(features.T) for features in values], []
+    phases = [
+        phase_item(item, number, start)
+        for item, array in zip(corpus.recordings.items, motion, strict=True)
+        for number, start in enumerate(array.facts["starts"])
     ]
-    motion, unpaired = stored_arrays(config.arrays_folder, wanted, config.workers)
-    spoken: list[StoredArray] = []
-    if speech is not None:
-        pieces = [
-            phase_item(item, number, start)
-            for item, array in zip(items, motion, strict=True)
-            for number, start in enumerate(array.facts["starts"])
-        ]
-        (spoken,) = stored_arrays(config.arrays_folder, [(speech, pieces)], config.workers)
-    sample: dict[int, list[Excerpt]] = {}
-    for excerpt in corpus.recordings.excerpts or ():
-        sample.setdefault(excerpt.index, []).append(excerpt)
-    if speech is not None and conditions.conditioner is None:
-        conditions = replace(conditions, conditioner=_fitted(speech, motion, spoken, sample))
-    for excerpt in others:
-        sample.setdefault(len(items) + excerpt.index, []).append(excerpt)
-    stored = StoredCorpus(
-        *([array.path.stem for array in arrays] for arrays in (motion, spoken, unpaired))
-    )
-    recordings = stored.sequences(config, conditions, paired.representation.n_features)
-    variants = stored_variants([*motion, *unpaired])
-    sampled = tuple(
-        (i, *excerpt.frames(config.fps, recordings[i].n_frames))
-        for i, variant in enumerate(variants)
-        # The other phases of an excerpt are almost the same motion.
-        for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
-    )
-    plain = [(variants[cut[0]], cut) for cut in sampled if not variants[cut[0]].mirrored]
-    parts = [(items[own.which], cut) for own, cut in plain if own.which < len(items)]
-    seconds = [sum(array.facts["seconds"] for array in arrays) for arrays in (motion, unpaired)]
-    rates = [array.facts["fps"] for array in motion]
-    return _Read(recordings, conditions, (seconds[0], seconds[1]), rates, parts, sampled, stored)
+    (spoken,) = stored_arrays(config.arrays_folder, [(speech, phases)], config.workers)
+    if fitted is None:
+        fitted = _fit_conditioner(speech, motion, spoken, corpus.recordings.excerpts or ())
+    lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
+    return fitted, [*stored_speech(spoken, fitted, lengths)], spoken
 
 
-def _fitted(
+def _fit_conditioner(
     speech: SpeechArrays,
-    motion: Sequence[StoredArray],
+    motion: Sequence[VariantArray],
     spoken: Sequence[StoredArray],
-    sample: Mapping[int, Sequence[Excerpt]],
+    excerpts: Sequence[Excerpt],
 ) -> SpeechConditioner:
-    """Return a conditioner that is fitted to the excerpts of each recording.
+    """Return a conditioner that is fitted to excerpts of the recordings.
 
     Args:
         speech: made `spoken`.
         motion: arrays of the recordings.
         spoken: arrays of the speech of their phases.
-        sample: excerpts of a recording, by its index.
+        excerpts: in the order of the recordings.
     """
-    clips, arrays = [], iter(spoken)
-    for i, array in enumerate(motion):
-        lengths = array.facts["lengths"]
-        first = [next(arrays) for _ in lengths][0]
-        for excerpt in sample.get(i, ()):
-            part = excerpt.frames(speech.fps, min(first.shape[0], lengths[0]))
-            clips.append(raw_speech(first, *part))
+    counts = [len(array.facts["lengths"]) for array in motion]
+    clips = []
+    for excerpt in excerpts:
+        first = spoken[sum(counts[: excerpt.index])]
+        n_frames = min(first.shape[0], motion[excerpt.index].facts["lengths"][0])
+        clips.append(raw_speech(first, *excerpt.frames(speech.fps, n_frames)))
     return fit_conditioner(clips, speech.extractor, speech.fps, speech.settings)
 
 
-def _start(config: DiffusionConfig) -> DiffusionModel | None:
-    if config.start_from is None:
-        return None
-    weights = None if config.features is None else config.features.encoder_places
-    start = DiffusionModel.load(model_of(config.start_from), weights=weights)
-    check_settings("start_from", config.start_from, {"fps": start.fps}, {"fps": config.fps})
-    for name, known in (("network", start.network.config), ("noise", start.noise_config)):
-        values = {f"{name}.{k}": v for k, v in to_dict(known).items() if k != "dropout"}
-        wanted = {f"{name}.{k}": v for k, v in to_dict(getattr(config, name)).items()}
-        check_settings("start_from", config.start_from, values, wanted)
-    return start
+def _sampled(
+    corpus: Corpus, variants: Sequence[Variant], recordings: Sequence[TrainingSequence], fps: float
+) -> tuple[Cut, ...]:
+    """Return the parts of recordings on disk from which statistics are computed."""
+    sample: dict[int, list[Excerpt]] = {}
+    for excerpt in corpus.recordings.excerpts or ():
+        sample.setdefault(excerpt.index, []).append(excerpt)
+    for excerpt in corpus.unpaired_excerpts:
+        sample.setdefault(len(corpus.recordings.items) + excerpt.index, []).append(excerpt)
+    return tuple(
+        (i, *excerpt.frames(fps, recordings[i].n_frames))
+        for i, variant in enumerate(variants)
+        # The other phases of an excerpt are almost the same motion.
+        for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
+    )
 
 
-def _like(config: DiffusionConfig) -> DiffusionModel | None:
-    """Load the model of `moves_like`, whose motion vectors this run uses."""
-    if config.moves_like is None:
-        return None
-    weights = None if config.features is None else config.features.encoder_places
-    like = DiffusionModel.load(model_of(config.moves_like), weights=weights)
-    check_settings("moves_like", config.moves_like, {"fps": like.fps}, {"fps": config.fps})
-    if like.representation.makes_root == config.path:
-        follows = "follows a path" if config.path else "moves its root itself"
-        raise ConfigError(f"moves_like: this run {follows} and {config.moves_like} does not")
-    return like
+def _fit_state(
+    config: DiffusionConfig,
+    corpus: Corpus,
+    variants: Sequence[Variant],
+    recordings: Sequence[TrainingSequence],
+    sampled: Sequence[Cut] | None,
+    conditions: Conditions,
+    representation: DeltaRepresentation,
+) -> StateProcess:
+    """Return the process of the state of movement in paired recordings, or in a sample of them.
 
-
-def _same_rig(
-    like: DiffusionModel, motions: Sequence[Motion], config: DiffusionConfig
-) -> DeltaRepresentation:
-    """Return the representation of a model, checked against the rig of the corpus.
-
-    A model to start from gets the bones and body shape of the corpus. With `moves_like` they stay,
-    because motion vectors of experts must have the same unit of length.
+    Mirrored copies are left out. The conditions of the recordings have no state yet.
     """
-    setting = "start_from" if config.moves_like is None else "moves_like"
-    where = getattr(config, setting)
-    check_rig(setting, where, like.skeleton, motions[0].skeleton, config.corpus)
-    known = like.representation
-    return known if setting == "moves_like" else known.on_bones_of(motions)
+    items, fps = corpus.recordings.items, config.fps
+    channels = StateChannels.find(representation.skeleton, representation.joints)
+    recorded = []
+    for i, start, stop in sampled or [(i, 0, r.n_frames) for i, r in enumerate(recordings)]:
+        if variants[i].mirrored or not recordings[i].is_paired:
+            continue
+        item = items[variants[i].which]
+        values = measured_state(recordings[i].motion[start:stop], representation, channels, fps)
+        speech = recordings[i].condition[start:stop][:, conditions.columns["speech"]]
+        style = conditions.styles.index(item.style or "") if conditions.styles else None
+        recorded.append(RecordedState(values, speech.T, item.take, (item.speaker, style)))
+    return StateProcess.fit(channels, recorded, fps, conditions.conditioner)
 
 
-def _floors(representation: DeltaRepresentation, fps: float) -> np.ndarray:
-    """Return the least scale (X,) of each number of a motion vector."""
-    values = np.full(representation.n_features, 0.01)  # radians
-    values[representation.height_column] = 2e-3  # metres of the reference body
+def _fit_normaliser(
+    representation: DeltaRepresentation, motion: Sequence[np.ndarray], fps: float
+) -> Normaliser:
+    """Return mean and scale of motion vectors (T, X), with the least scale of each number."""
+    floors = np.full(representation.n_features, 0.01)  # radians
+    floors[representation.height_column] = 2e-3  # metres of the reference body
     if representation.makes_root:
-        values[representation.root_columns] = _STEP_FLOORS / fps
-    return values
-
-
-def _with_path_scale(
-    conditions: Conditions, paths: Sequence[RootPath | None], maker: VariantArrays
-) -> Conditions:
-    """Return the conditions with mean and scale of the displacements of these paths."""
-    size = 1 / maker.representation.scale
-    deltas = np.concatenate([path.scaled(size).deltas() for path in paths if path is not None])
-    scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / maker.config.fps)
-    return replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
+        floors[representation.root_columns] = _STEP_FLOORS / fps
+    return Normaliser.fit(motion, floors)

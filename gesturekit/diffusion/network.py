@@ -1,9 +1,22 @@
-"""The denoising network: gated residual blocks of DiffWave around stacks of Conformers."""
+"""The denoising network, eps_hat(x_n, c, n): residual blocks of DiffWave around Conformers.
+
+| paper (Fig. 2, section 3.2, A.1) | here |
+|---|---|
+| noisy poses to channels, to poses again | `enter`; `gather` and `leave` |
+| embedding of the step n, its part in each block | `embed_step`, `project_step` |
+| the condition c in each block | `project_condition` |
+| a residual block, Fig. 2(b) | `residual_block` |
+| its stack of L Conformers, or LDA-DW's convolution | `stacks` |
+| its 1x1 convolution to residual and skip | `split` |
+| a Conformer: attention, convolutions | `Conformer`: `attention`, `widen` and `narrow` |
+| translation-invariant attention (TISA) | `Attention`, `PositionBias` |
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -11,18 +24,56 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import NetworkConfig
-from gesturekit.diffusion.network.attention import Attention, Band, bands
-from gesturekit.errors import ModelError
+from gesturekit.diffusion.position_bias import Band, PositionBias, bands
 
 FREQUENCIES = 64
 """Number of sines, and of cosines, of the step embedding, from 1 to 1e4 radians per step."""
 
+Stack = Callable[[Tensor], Tensor]
+"""A map from (B, T, C) to (B, T, 2 C) in a residual block."""
 
-def neighbours(x: Tensor, dilation: int) -> Tensor:
-    """Concatenate each frame (B, T, C) with those `dilation` before and after to (B, T, 3 C)."""
-    padded = F.pad(x, (0, 0, dilation, dilation))
-    n_frames = x.shape[1]
-    return torch.cat([padded[:, i * dilation : i * dilation + n_frames] for i in range(3)], -1)
+
+def attend(
+    queries: Tensor, keys: Tensor, values: Tensor, bands: list[Band], dropout: float, *, fused: bool
+) -> Tensor:
+    """Compute attention (B, H, T, D) band by band and block by block.
+
+    `fused` takes torch's kernel, which is faster; plain matrix products and sums have gradients
+    that are deterministic on every device. Both compute the same.
+    """
+    by_band = []
+    for band in bands:
+        by_block = []
+        for query_frames, key_frames, bias in band.blocks:
+            q = queries[:, band.heads, query_frames]
+            k, v = keys[:, band.heads, key_frames], values[:, band.heads, key_frames]
+            if fused:
+                mask = bias.to(q.dtype).expand(len(q), -1, -1, -1)
+                by_block.append(F.scaled_dot_product_attention(q, k, v, mask, dropout))
+            else:
+                scores = q @ k.transpose(-1, -2) * q.shape[-1] ** -0.5 + bias
+                by_block.append(F.dropout(scores.softmax(-1), dropout) @ v)
+        by_band.append(torch.cat(by_block, 2) if len(by_block) > 1 else by_block[0])
+    return torch.cat(by_band, 1) if len(by_band) > 1 else by_band[0]
+
+
+class Attention(nn.Module):
+    """Multi-head attention with a gated output."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.heads = config.heads
+        self.dropout = config.dropout
+        self.bias = PositionBias(config)
+        self.read = nn.Linear(config.channels, 3 * config.channels, bias=False)
+        self.write = nn.Linear(config.channels, 2 * config.channels)
+
+    def forward(self, x: Tensor, bands: list[Band]) -> Tensor:
+        """Map (B, T, channels) to the same shape."""
+        q, k, v = self.read(x).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        dropout = self.dropout if self.training else 0.0
+        attended = attend(q, k, v, bands, dropout, fused=not torch.is_grad_enabled())
+        return F.glu(self.write(attended.transpose(1, 2).flatten(2)))
 
 
 class DilatedConv(nn.Module):
@@ -44,10 +95,12 @@ class DilatedConv(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, T, n_in) to (B, T, n_out)."""
-        if self.gathers:
-            return F.linear(neighbours(x, self.dilation), self.weight, self.bias)
-        before, here, after = F.linear(x, self.weight).chunk(3, -1)
         d, n_frames = self.dilation, x.shape[1]
+        if self.gathers:
+            padded = F.pad(x, (0, 0, d, d))
+            frames = torch.cat([padded[:, i * d : i * d + n_frames] for i in range(3)], -1)
+            return F.linear(frames, self.weight, self.bias)
+        before, here, after = F.linear(x, self.weight).chunk(3, -1)
         here = here + F.pad(before, (0, 0, d, 0))[:, :n_frames]
         here = here + F.pad(after, (0, 0, 0, d))[:, d:]
         return here if self.bias is None else here + self.bias
@@ -76,7 +129,7 @@ class Conformer(nn.Module):
 
 
 class ConformerStack(nn.Module):
-    """Conformer layers of one residual block, before its gate."""
+    """Conformer layers of one residual block."""
 
     def __init__(self, config: NetworkConfig, dilation: int) -> None:
         super().__init__()
@@ -85,12 +138,33 @@ class ConformerStack(nn.Module):
         self.layers: Sequence[Conformer] = layers  # torch's list lacks their type
         self.leave = nn.Linear(config.channels, 2 * config.channels)
 
+    def bands(self, n_frames: int) -> list[list[Band]]:
+        """Return the attention bands of each layer for clips of `n_frames`."""
+        return [bands(layer.attention.bias, n_frames) for layer in self.layers]
+
     def forward(self, x: Tensor, bands: list[list[Band]]) -> Tensor:
         """Map (B, T, C), with the attention bands of each layer, to (B, T, 2 C)."""
         x = self.enter(x)
-        for layer, band in zip(self.layers, bands, strict=True):
-            x = layer(x, band)
+        for layer, layer_bands in zip(self.layers, bands, strict=True):
+            x = layer(x, layer_bands)
         return self.leave(x)
+
+
+def residual_block(
+    x: Tensor, step: Tensor, condition: Tensor, stack: Stack, split: nn.Module
+) -> tuple[Tensor, Tensor]:
+    """Return the output and the skip connection of a residual block, Fig. 2(b); each (B, T, C).
+
+    Args:
+        x: (B, T, C), output of the block before.
+        step: (B, 1, C), projected embedding of the step.
+        condition: (B, T, C), projected condition.
+        stack: of Conformers.
+        split: 1x1 convolution from C to 2 C channels.
+    """
+    gate, signal = stack(x + (step + condition)).chunk(2, -1)
+    residual, skip = split(gate.sigmoid() * signal.tanh()).chunk(2, -1)
+    return (x + residual) * math.sqrt(0.5), skip
 
 
 def kaiming(n_in: int, n_out: int) -> nn.Linear:
@@ -114,7 +188,7 @@ class Denoiser(nn.Module):
 
     def __init__(self, n_motion: int, n_condition: int, config: NetworkConfig) -> None:
         super().__init__()
-        self.n_motion, self.n_condition, self.config = n_motion, n_condition, config
+        self.n_motion, self.config = n_motion, config
         width = config.channels
         self.enter = kaiming(n_motion, width)
         self.embed_step = nn.Sequential(
@@ -153,9 +227,8 @@ class Denoiser(nn.Module):
         Returns:
             (B, T, X).
         """
-        self._check(condition)
         conditions, steps = self._conditions(condition), self._steps(step)
-        return self._run(noisy, steps[:, :, None], conditions, self._bands(noisy.shape[1]))
+        return self._run(noisy, steps[:, :, None], conditions, self._stacks(noisy.shape[1]))
 
     @torch.no_grad()
     def for_condition(
@@ -172,25 +245,17 @@ class Denoiser(nn.Module):
         Returns:
             `predict(noisy (B, T, X), step) -> (B, T, X)`.
         """
-        self._check(condition)
         steps = list(steps)
         conditions = self._conditions(condition).contiguous()
         embedded = self._steps(torch.tensor(steps, device=condition.device)).unbind(1)
         of_step = dict(zip(steps, embedded, strict=True))
-        bands = self._bands(condition.shape[1])
+        stacks = self._stacks(condition.shape[1])
 
         @torch.no_grad()
         def predict(noisy: Tensor, step: int) -> Tensor:
-            return self._run(noisy, of_step[step][:, None, None], conditions, bands)
+            return self._run(noisy, of_step[step][:, None, None], conditions, stacks)
 
         return predict
-
-    def _check(self, condition: Tensor) -> None:
-        if condition.shape[-1] != self.n_condition:
-            raise ModelError(
-                f"condition: {condition.shape[-1]} numbers a frame, but the network was made for "
-                f"{self.n_condition}; give the conditions that it was trained with"
-            )
 
     def _conditions(self, condition: Tensor) -> Tensor:
         """Project a condition (B, T, C) to the input (blocks, B, T, channels) of each block."""
@@ -208,25 +273,22 @@ class Denoiser(nn.Module):
         projected = self.project_step(self.embed_step(waves))
         return projected.unflatten(1, (self.config.blocks, -1)).movedim(1, 0)
 
-    def _bands(self, n_frames: int) -> list[list[list[Band]]]:
-        """Return the attention bands of each layer of each block; empty without attention."""
+    def _stacks(self, n_frames: int) -> list[Stack]:
+        """Return the stack of each block, with its attention bands for clips of `n_frames`."""
         return [
-            [bands(layer.attention.bias, n_frames) for layer in stack.layers]
-            for stack in self.stacks
+            partial(stack, bands=stack.bands(n_frames))
             if isinstance(stack, ConformerStack)
+            else stack
+            for stack in self.stacks
         ]
 
-    def _run(
-        self, noisy: Tensor, steps: Tensor, conditions: Tensor, bands: list[list[list[Band]]]
-    ) -> Tensor:
+    def _run(self, noisy: Tensor, steps: Tensor, conditions: Tensor, stacks: list[Stack]) -> Tensor:
         x = self.enter(noisy.to(self.enter.weight.dtype)).relu_()
         total = 0
-        for i, (stack, split) in enumerate(zip(self.stacks, self.split, strict=True)):
-            y = x + (steps[i] + conditions[i])
-            y = stack(y, bands[i]) if bands else stack(y)
-            gate, signal = y.chunk(2, -1)
-            kept, skipped = split(gate.sigmoid() * signal.tanh()).chunk(2, -1)
-            x = (x + kept) * math.sqrt(0.5)
-            total = total + skipped
-        total = total * len(self.stacks) ** -0.5
+        for step, condition, stack, split in zip(
+            steps, conditions, stacks, self.split, strict=True
+        ):
+            x, skip = residual_block(x, step, condition, stack, split)
+            total = total + skip
+        total = total * len(stacks) ** -0.5
         return self.leave(self.gather(total).relu_()).to(noisy.dtype)
