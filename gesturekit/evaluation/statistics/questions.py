@@ -215,11 +215,11 @@ def defects(metrics: Results) -> list[str]:
         return (metrics[key].recording if key in metrics else None) or 0.0
 
     found = []
-    beyond, apart, covered = value("joint_limits"), value("one_nn"), value("coverage")
+    beyond, apart, covered = value("joint_limits"), value("one_nn"), value("within_reach")
     if beyond is not None and beyond > own("joint_limits") + thresholds.BEYOND_LIMITS:
         found.append(f"{beyond:.0f} % of joint rotations are beyond the recordings' range")
     told_apart = apart is not None and apart >= thresholds.TOLD_APART > own("one_nn")
-    if told_apart and covered is not None and covered < thresholds.COVERED * own("coverage"):
+    if told_apart and covered is not None and covered < thresholds.COVERED * own("within_reach"):
         found.append("it covers nothing of what the recordings do")
     shaken = _ratio(metrics, "jerk_genea")
     if shaken is not None and shaken > thresholds.SHAKEN:

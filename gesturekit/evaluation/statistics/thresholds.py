@@ -17,7 +17,7 @@ BEYOND_LIMITS = 20.0
 """Percentage of rotations beyond the recordings' range, more than the recordings have themselves,
 from which a body is broken."""
 COVERED = 0.05
-"""Share of the recordings' own coverage below which a motion covers nothing of what they do."""
+"""Share of the recordings' own "within reach" below which a motion covers nothing of theirs."""
 TOLD_APART = 0.98
 """1-NN accuracy from which a motion is told from the recordings in every window."""
 SHAKEN = 5.0
