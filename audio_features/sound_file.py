@@ -13,7 +13,7 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import soundfile
@@ -214,7 +214,7 @@ class _Unsized(io.FileIO):
 def _with_length(name: str) -> str | bytes | io.BufferedReader:
     """Return what soundfile opens: a wav written to a pipe may say that it has no sound."""
     head = _bytes_of(name, 0, 4096)
-    order = "big" if head[:4] == b"RIFX" else "little"
+    order: Literal["big", "little"] = "big" if head[:4] == b"RIFX" else "little"
     at = head.find(b"data\0\0\0\0")
     is_whole = int.from_bytes(head[4:8], order) + 8 == Path(name).stat().st_size
     if head[:3] == b"RIF" and at >= 0 and not is_whole:
