@@ -28,7 +28,7 @@ from gesturekit.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from gesturekit.conversion.changes import Changes
+    from gesturekit.conversion.convert import Changes
     from gesturekit.jobs.result import Result
 
 EXAMPLES = """\
@@ -108,8 +108,7 @@ def command(
     reason, the others are still converted, and the exit code is 1. To continue an interrupted run,
     repeat the command: finished files in the folder OUT are kept.
     """
-    from gesturekit.conversion.convert import Conversion
-    from gesturekit.conversion.options import FormatOptions
+    from gesturekit.conversion.convert import Conversion, FormatOptions
     from gesturekit.motion.parts import parse_parts
 
     elsewhere = run_elsewhere(ctx, out, options)
@@ -141,8 +140,8 @@ def _changes(options: dict[str, Any]) -> Changes:
     Raises:
         click.UsageError: --rig-part without --rig.
     """
-    from gesturekit.conversion.changes import Changes, parse_trim
-    from gesturekit.formats.rig import Rig
+    from gesturekit.conversion.convert import Changes, parse_trim
+    from gesturekit.formats.smpl import Rig
     from gesturekit.motion.parts import parse_parts
 
     rig, rig_parts, trim, joints = (

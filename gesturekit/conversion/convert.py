@@ -3,30 +3,183 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from gesturekit.conversion.changes import Changes
 from gesturekit.conversion.inputs import find_tasks, is_file_name
-from gesturekit.conversion.options import (
-    FormatOptions,
-    describe,
-    warn_of_losses,
-    with_body_model,
-    without_mesh,
+from gesturekit.errors import ConfigError, MotionError
+from gesturekit.formats.conversion import (
+    applicable_write_options,
+    describe_axes,
+    load,
+    refuse_unused_options,
 )
-from gesturekit.errors import ConfigError
-from gesturekit.formats.conversion import applicable_write_options, load, refuse_unused_options
 from gesturekit.formats.plausibility import plausibility_warnings
+from gesturekit.formats.smpl import Rig
 from gesturekit.jobs.result import Processor, Result, json_of
 from gesturekit.jobs.run import EXISTING, Batch, Execution, refuse_existing
 from gesturekit.jobs.task import Task
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.wording import counted
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Changes to a motion, made in this order; by default none.
+
+    Attributes:
+        trim: (start, end) seconds to keep, rounded to frames; the end may be infinite.
+        mirror: exchange left and right.
+        rig: rig to retarget to.
+        joints: "all", "body" (no fingers, face and end joints), or names to keep.
+        fps: frames per second of the result.
+        antialias: filter out frequencies above half of a lower frame rate.
+    """
+
+    trim: tuple[float, float] | None = None
+    mirror: bool = False
+    rig: Rig | None = None
+    joints: str | tuple[str, ...] = "all"
+    fps: float | None = None
+    antialias: bool = False
+
+    def __call__(self, motion: Motion) -> tuple[Motion, list[str]]:
+        """Return the changed motion, and a phrase for each change.
+
+        Warns:
+            UserWarning: a kept joint has to move, because a rotating joint above was removed.
+
+        Raises:
+            MotionError: an unknown joint, body parts that cannot be identified, or nothing left
+                after trimming.
+        """
+        done = []
+        if self.trim is not None:
+            # Some clips of a folder may be shorter than the range.
+            start, end = self.trim
+            if start >= motion.duration:
+                raise MotionError(
+                    f"trim leaves nothing: it begins at {start:g} s, the motion lasts "
+                    f"{motion.duration:g} s"
+                )
+            motion = motion.trim(start, min(end, motion.duration))
+            done.append(f"cut to {motion.duration:.2f} s")
+        if self.mirror:
+            motion = motion.mirror()
+            done.append("mirrored")
+        if self.rig is not None:
+            motion = self.rig.put(motion)
+            done.append(f"on {self.rig.name}, {counted(motion.skeleton.n_joints, 'joint')}")
+        if self.joints != "all":
+            before = motion
+            motion = motion.keep(self._joints(motion.skeleton))
+            if motion is not before:
+                done.append(f"{motion.skeleton.n_joints} of {before.skeleton.n_joints} joints")
+            if now_moving := sorted(
+                set(motion.joint_translations) - set(before.joint_translations)
+            ):
+                warnings.warn(
+                    f"{', '.join(now_moving)}: a parent joint that rotates was removed, so these "
+                    "joints get position channels, which some programs ignore",
+                    stacklevel=2,
+                )
+        if self.fps is not None and self.fps != motion.fps:
+            done.append(f"{motion.fps:.6g} to {self.fps:.6g} fps")
+            motion = motion.resample(self.fps, antialias=self.antialias)
+        return motion, done
+
+    def _joints(self, skeleton: Skeleton) -> tuple[str, ...]:
+        return body_joints(skeleton) if self.joints == "body" else tuple(self.joints)
+
+
+def parse_trim(text: str) -> tuple[float, float]:
+    """Parse ``"2:10.5"`` as (start, end) seconds; start and end may be left out.
+
+    Raises:
+        ConfigError: not an interval, or one that ends before it begins.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)?\s*:\s*(\d+(?:\.\d*)?|\.\d+)?\s*", text)
+    if not match or not (match[1] or match[2]):
+        raise ConfigError(f"trim {text!r}; write START:END in seconds, as 2:10.5, 2: or :10.5")
+    start, end = float(match[1] or 0), float(match[2]) if match[2] else math.inf
+    if end <= start:
+        raise ConfigError(f"trim {text!r} ends before it begins")
+    return start, end
+
+
+_WITHOUT_FACES = {".bvh": "BVH", ".glb": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
+"""Formats without expressions and body shape, by suffix."""
+
+
+@dataclass(frozen=True)
+class FormatOptions:
+    """Options of readers and writers; each gets those that it has.
+
+    Attributes:
+        read: options of readers, such as `up`; also `fps` and `height`, see `load`.
+        write: options of writers, such as `up`.
+        body_model: npz file of an SMPL or SMPL-X model, or a folder of such files, for readers and
+            writers that use one.
+        parts: joints of the sources specified by hand, see `load`.
+    """
+
+    read: Mapping[str, Any] = field(default_factory=dict)
+    write: Mapping[str, Any] = field(default_factory=dict)
+    body_model: str | os.PathLike[str] | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
+
+
+def with_body_model(options: FormatOptions) -> FormatOptions:
+    """Return options whose body model is among those of readers and writers."""
+    if options.body_model is None:
+        return options
+    model = {"body_model": options.body_model}
+    return replace(options, read={**options.read, **model}, write={**options.write, **model})
+
+
+def describe(motion: Motion) -> str:
+    """Return a summary of a motion: unit, axes, rate, frames, joints; "?" marks guesses."""
+    words = describe_axes(motion.info, "?")
+    if "scale" in motion.info:
+        words.append(f"scaled by {motion.info['scale']:.4g}")
+    words.append(f"{motion.fps:.6g} fps")
+    words.append(counted(motion.n_frames, "frame"))
+    words.append(counted(motion.skeleton.n_joints, "joint"))
+    return ", ".join(words)
+
+
+def without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
+    """Return the formats that can be written without a body model."""
+    if "obj" not in (formats or [out.suffix.lower()[1:]]):
+        return formats
+    needs = "an obj needs the mesh of a body model: give --body-model SMPLX_NEUTRAL.npz"
+    others = [name for name in formats if name != "obj"]
+    if not others:
+        raise ConfigError(needs)
+    warnings.warn(f"no obj is written; {needs}", stacklevel=3)
+    return others
+
+
+def warn_of_losses(motion: Motion, target: Path) -> None:
+    """Warn of data of a motion that the format of a target cannot hold."""
+    name = _WITHOUT_FACES.get(target.suffix.lower())
+    if name:
+        lost = ["face expressions"] if motion.expressions is not None else []
+        if motion.skeleton.body_shape.betas:
+            lost.append("body shape (betas)")
+        if lost:
+            warnings.warn(
+                f"{target}: {name} holds no {' and no '.join(lost)}; npz does", stacklevel=2
+            )
+
 
 _GLANCE = 1 << 18  # bytes in which the hierarchy of a BVH file ends
 _LENGTH = re.compile(rb"Frames:\s*(\d{1,9})\s+Frame\s+Time:\s*([\d.]{1,20})", re.IGNORECASE)

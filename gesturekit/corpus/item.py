@@ -17,7 +17,7 @@ from gesturekit.errors import CorpusError
 
 if TYPE_CHECKING:
     from audio_features import Wave
-    from gesturekit.formats.tables.events import Event
+    from gesturekit.formats.tables import Event
     from gesturekit.motion import Motion
     from gesturekit.motion.root_path import RootPath
 
@@ -243,7 +243,7 @@ class Item:
         """
         if "events" not in self.conditions:
             return ()
-        from gesturekit.formats.tables.events import Event, load_events
+        from gesturekit.formats.tables import Event, load_events
 
         begins = self.audio_start if self.motion is None else self.motion_start
         events = []
@@ -270,7 +270,7 @@ class Item:
         """
         if "path" not in self.conditions:
             return None
-        from gesturekit.formats.tables.root_path import load_root_path
+        from gesturekit.formats.tables import load_root_path
 
         begins = self.audio_start if self.motion is None else self.motion_start
         path = load_root_path(self.conditions["path"], scale)

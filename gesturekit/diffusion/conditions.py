@@ -19,7 +19,7 @@ from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.events import event_flags
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.events import Event
+from gesturekit.formats.tables import Event
 from gesturekit.motion.root_path import RootPath
 from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.features import (

@@ -12,7 +12,7 @@ import numpy as np
 import audio_features as af
 from gesturekit.errors import ModelError
 from gesturekit.evaluation.metrics.rhythm import music_beats
-from gesturekit.formats.tables.events import Event, load_events
+from gesturekit.formats.tables import Event, load_events
 from gesturekit.wording import did_you_mean
 
 

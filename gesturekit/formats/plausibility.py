@@ -9,11 +9,11 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import standing_axis
-from gesturekit.formats.frame_rate import COMMON_RATES
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.parts.body_size import body_height, first_fork, stature
+from gesturekit.motion.resampling import COMMON_RATES
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import listed
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from audio_features.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.easymocap import SUBFOLDERS
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.registry import MOTION_SUFFIXES
-from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.wording import listed
 
 SPEECH_SUFFIXES = (

@@ -10,7 +10,7 @@ import numpy as np
 
 import audio_features as af
 from audio_features.files import open_npy
-from gesturekit.formats.signatures import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
+from gesturekit.formats.registry import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
 from gesturekit.formats.sources import is_feature_file, visible_folders
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.training.config import read_yaml

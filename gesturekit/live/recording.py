@@ -13,7 +13,7 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.fbx import blender_command
-from gesturekit.formats.frames import frames_header, frames_rows, read_frames
+from gesturekit.formats.npz import frames_header, frames_rows, read_frames
 from gesturekit.formats.registry import writer_of
 from gesturekit.live.runner import Step
 

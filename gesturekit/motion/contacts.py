@@ -9,8 +9,7 @@ import numpy as np
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, Leg, find_legs
-from gesturekit.motion.parts.body_size import body_scale
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts.body_size import body_scale, real_end_sites
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 

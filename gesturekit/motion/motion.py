@@ -8,13 +8,13 @@ import stat
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gesturekit import lazy
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
 from gesturekit.motion import kinematics
 from gesturekit.motion.joint_selection import keep_joints
@@ -23,10 +23,6 @@ from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
 from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton
-
-# The only upward imports: readers, writers and the viewer are in packages that import this one,
-# and are loaded by name when they are used.
-_FORMATS = "gesturekit.formats.registry"
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,7 +360,7 @@ class Motion:
             MotionError: an invalid height.
         """
         _refuse_special(Path(path))
-        motion = import_module(_FORMATS).reader_of(path, options)(path, **options)
+        motion = lazy.on_demand("reader_of")(path, options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
     @gesturekit_errors()
@@ -379,7 +375,7 @@ class Motion:
             FormatError: an unknown format, one that cannot hold this motion, or an option that the
                 format does not have.
         """
-        import_module(_FORMATS).writer_of(path, options)(self, path, **options)
+        lazy.on_demand("writer_of")(path, options)(self, path, **options)
 
     @gesturekit_errors()
     def show(self, audio: Any = None, **options: Any) -> Any:
@@ -390,7 +386,7 @@ class Motion:
             options: `title`, `body`, `framing`, `body_model` and `height` in pixels; see
                 `gesturekit.viewer.display`.
         """
-        return import_module("gesturekit.viewer").display(self, audio, **options)
+        return lazy.on_demand("display")(self, audio, **options)
 
     def plot(self, audio: Any = None, **options: Any) -> Any:
         """Return the picture that `save` writes as .png: a PIL image, which a notebook displays.

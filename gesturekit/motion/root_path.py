@@ -10,7 +10,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import headings, side_axis
-from gesturekit.motion.ik.legs import reach_feet
+from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion

@@ -9,7 +9,7 @@ import numpy as np
 
 from gesturekit.motion.contacts import FootPoint, foot_points
 from gesturekit.motion.parts import SIDES, require_legs
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts.body_size import real_end_sites
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 

@@ -8,7 +8,7 @@
    before. While the heel lifts, only the ball is pinned; a flat foot is pinned at both and rotated
    as a whole.
 4. Raise feet that would sink deeper than before, and lower the hips if a leg is too short.
-5. Solve hips and knees by two-bone IK (`gesturekit.motion.ik.two_bone`). The ankle keeps the
+5. Solve hips and knees by two-bone IK (`gesturekit.motion.ik`). The ankle keeps the
    orientation of the foot, and the toes keep theirs.
 
 Frames without contact do not change.
@@ -22,12 +22,12 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
+from gesturekit.motion.ik import reachable, two_bone_ik
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.parts.body_size import body_scale
-from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, smooth_upper_envelope
+from gesturekit.motion.retarget.targets import HIP_DROP_SECONDS, smooth_upper_envelope
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -36,15 +36,17 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.postprocess.contact_spans import (
+from gesturekit.postprocess.foot import Foot, feet_of_legs
+from gesturekit.postprocess.pinning import (
+    FASTEST,
     contact_frames,
     contact_spans,
     gaussian_smoothed,
     include_landing,
+    pin,
+    soft_clamp,
     split_at_movement,
 )
-from gesturekit.postprocess.foot import Foot, feet_of_legs
-from gesturekit.postprocess.pinning import FASTEST, pin, soft_clamp
 
 _MAX_CORRECTION = 0.1
 """Largest correction of a foot, as a share of the leg length."""

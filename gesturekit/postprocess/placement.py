@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 from gesturekit.motion.concatenation import carried, eased, with_root
 from gesturekit.motion.contacts import CONTACT_SPEED, floor_height, foot_positions
 from gesturekit.motion.heading import heading, headings, side_axis
-from gesturekit.motion.ik.legs import reach_feet
+from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion

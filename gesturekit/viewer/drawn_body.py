@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from gesturekit.errors import FormatError, GestureKitError
 from gesturekit.formats.gltf.skin import Skin
-from gesturekit.formats.smpl.skeleton import fit_body
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.formats.smpl import fit_body
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer.avatars import load_avatar
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import Fitting, Human

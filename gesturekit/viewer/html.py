@@ -22,7 +22,7 @@ import numpy as np
 from audio_features import Wave
 from audio_features.atomic import write_text
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human.body import COLOURS

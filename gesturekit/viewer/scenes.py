@@ -11,7 +11,7 @@ from audio_features.atomic import atomic_write
 from gesturekit.formats.fbx import write_by_blender
 from gesturekit.formats.gltf.vrm import our_names
 from gesturekit.formats.gltf.writing import Material, animated_avatar, animated_skeleton
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer.avatars import load_avatar
 from gesturekit.viewer.drawn_body import AVATARS, DrawnBody
 from gesturekit.viewer.human.body import COLOURS, Human

@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
-from gesturekit.conversion.changes import Changes, parse_trim
-from gesturekit.conversion.convert import Conversion, convert
-from gesturekit.conversion.options import FormatOptions
+from gesturekit.conversion.convert import Changes, Conversion, FormatOptions, convert, parse_trim
 from gesturekit.errors import ConfigError
 from gesturekit.formats import Rig, motions_in, smpl_skeleton
 from gesturekit.jobs import STATE, Execution, Result

@@ -14,7 +14,7 @@ from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.layouts.listing import Listing, existing, root_with
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import FormatError
-from gesturekit.formats.smpl.seamless import FPS
+from gesturekit.formats.amass import FPS
 
 _KINDS = ("improvised", "naturalistic")
 _SPLITS = {"train": "train", "dev": "valid", "test": "test"}

@@ -21,8 +21,7 @@ from gesturekit.diffusion.sampling.experts import MAX_DEVIATION
 from gesturekit.diffusion.sampling.solvers import last_step_with_signal
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.events import Event
-from gesturekit.formats.tables.root_path import as_root_path
+from gesturekit.formats.tables import Event, as_root_path
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath

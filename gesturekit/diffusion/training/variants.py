@@ -19,7 +19,7 @@ from gesturekit.diffusion.training.augmentation import mirror_condition, phase_i
 from gesturekit.diffusion.training.corpus import UnpairedRig
 from gesturekit.diffusion.training.data import TrainingSequence
 from gesturekit.errors import CorpusError, MotionError
-from gesturekit.formats.tables.events import Event
+from gesturekit.formats.tables import Event
 from gesturekit.motion.mirroring import can_be_mirrored
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath, follow_path

@@ -16,9 +16,8 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import AXES, USUAL_FORWARD, FileAxes, file_axes, with_y_up
-from gesturekit.formats.gltf.animation import read_animation
 from gesturekit.formats.gltf.file import Gltf
-from gesturekit.formats.gltf.nodes import AT_REST, Nodes
+from gesturekit.formats.gltf.scene import AT_REST, Nodes, read_animation
 from gesturekit.formats.gltf.vrm import avatar_bones
 from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion

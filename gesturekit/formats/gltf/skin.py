@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_model import BodyModel
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from gesturekit.formats.gltf.file import BIN, JSON, MAX_BYTES, Gltf
-from gesturekit.formats.gltf.nodes import Nodes
 from gesturekit.formats.gltf.reading import END_SITE
+from gesturekit.formats.gltf.scene import Nodes
 from gesturekit.formats.gltf.skin import INFLUENCES, Skin, steady_signs
 from gesturekit.formats.gltf.vrm import Avatar
 from gesturekit.motion.motion import Motion

@@ -1,49 +1,352 @@
-"""Body parts of a rig: which joint is the head, a hand, a knee."""
+"""Body parts of a rig, which joint is the head, a hand, a knee, by names and shape (`finder`)."""
 
-from gesturekit.motion.parts.body_parts import (
-    Arm,
-    BodyParts,
-    Leg,
-    arm_joints,
-    arm_length,
-    body_joints,
-    find_legs,
-    find_parts,
-    heading_joints,
-    is_upper_body,
-    known_part_labels,
-    left_right_pairs,
-    leg_joints,
-    leg_length,
-    parse_parts,
-    part_labels,
-    require_legs,
-    unidentified,
-    upper_body,
-)
-from gesturekit.motion.parts.finder import KNOWN_PARTS
-from gesturekit.motion.parts.joint_names import SIDES
+from __future__ import annotations
 
-__all__ = [
-    "KNOWN_PARTS",
-    "SIDES",
-    "Arm",
-    "BodyParts",
-    "Leg",
-    "arm_joints",
-    "arm_length",
-    "body_joints",
-    "find_legs",
-    "find_parts",
-    "heading_joints",
-    "is_upper_body",
-    "known_part_labels",
-    "left_right_pairs",
-    "leg_joints",
-    "leg_length",
-    "parse_parts",
-    "part_labels",
-    "require_legs",
-    "unidentified",
-    "upper_body",
-]
+import functools
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gesturekit.errors import MotionError
+from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder, find_leg_joints
+from gesturekit.motion.parts.limbs import SIDES, bone_length, find_limbs, named_pairs
+from gesturekit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Joint names of one arm; None where the rig has no such joint."""
+
+    clavicle: str | None
+    shoulder: str
+    elbow: str
+    wrist: str | None
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Joint names of one leg; None where the rig has no such joint."""
+
+    hip: str
+    knee: str
+    ankle: str
+    toe: str | None
+
+
+@dataclass(frozen=True)
+class BodyParts:
+    """Joint names by body part.
+
+    Attributes:
+        pelvis: joint where the legs meet the spine; without legs, the lowest joint of the trunk.
+        spine: joints above the pelvis up to the parent of the arms, in order.
+        neck: the lowest joint between spine and head; None if there is none.
+        head: None if the rig has none.
+        arms: "left" and "right".
+        legs: "left" and "right"; empty if the rig has no legs.
+        fingers: joints below the wrists, except hands and end joints.
+        face: joints below the head (jaw, eyes), except end joints.
+        ends: leaves that only mark the end of a bone ("HeadEnd", "LeftToe_End", "Nub").
+    """
+
+    pelvis: str
+    spine: tuple[str, ...]
+    neck: str | None
+    head: str | None
+    arms: Mapping[str, Arm]
+    legs: Mapping[str, Leg]
+    fingers: tuple[str, ...]
+    face: tuple[str, ...]
+    ends: tuple[str, ...]
+
+
+def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
+    """Return (left, right) names of joints that are mirror images, in the order of left joints.
+
+    They are found by name, or by the shape of the rig if no name has a side. Limbs specified by
+    hand (`Skeleton.parts`) take precedence, together with their ancestors. A joint without a
+    counterpart is in the middle of the body.
+    """
+    by_hand = dict(_pairs_by_hand(skeleton))
+    specified = {*by_hand, *by_hand.values()}
+    pairs = named_pairs(skeleton)
+    if not pairs:
+        try:
+            shape = find_limbs(skeleton)
+        except MotionError:
+            shape = None
+        if shape is not None:
+            pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
+    pairs = [*by_hand.items(), *(pair for pair in pairs if specified.isdisjoint(pair))]
+    return tuple(sorted(pairs, key=lambda pair: skeleton.index(pair[0])))
+
+
+def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
+    """Yield (left, right) of limbs specified by hand, and of their ancestors below a common one."""
+    for part, name in skeleton.parts.items():
+        side, _, kind = part.partition("_")
+        if side != "left" or f"right_{kind}" not in skeleton.parts:
+            continue
+        left, right = skeleton.index(name), skeleton.index(skeleton.parts[f"right_{kind}"])
+        chains = [[j, *skeleton.ancestors(j)] for j in (left, right)]
+        sides = [[j for j in a if j not in b] for a, b in (chains, chains[::-1])]
+        if len(sides[0]) == len(sides[1]):
+            yield from ((skeleton.names[a], skeleton.names[b]) for a, b in zip(*sides))
+
+
+def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> BodyParts:
+    """Identify the body parts of a rig.
+
+    A rig with arms has no legs if nothing on its trunk could be a leg. Chains that could be, and
+    are not identified, are an error.
+
+    Args:
+        skeleton: the rig, including parts specified by hand (`Skeleton.parts`).
+        overrides: more joints specified by hand, such as {"left_elbow": "Joint12"}. Keys are `head`
+            and left_ or right_ with clavicle, shoulder, elbow, wrist, hip, knee, ankle or toe.
+
+    Raises:
+        MotionError: parts that cannot be identified, or are implausible (a knee that is not below
+            the hip, a left leg twice as long as the right one, ...). The error says which joint to
+            specify by hand.
+    """
+    if not overrides:
+        return _parts_of(skeleton)
+    return _named(skeleton, PartFinder(skeleton, {**skeleton.parts, **overrides}))
+
+
+@functools.lru_cache(maxsize=64)
+def _parts_of(skeleton: Skeleton) -> BodyParts:
+    """Return `find_parts` without overrides; skeletons never change."""
+    return _named(skeleton, PartFinder(skeleton, skeleton.parts))
+
+
+def _named(skeleton: Skeleton, found: PartFinder) -> BodyParts:
+    """Return the parts with the names of their joints."""
+
+    def names(joints: list[int]) -> tuple[str, ...]:
+        return tuple(skeleton.names[j] for j in joints)
+
+    def limb(side: str, parts: tuple[str, ...]) -> dict[str, Any]:
+        joints = {part: found.limbs[f"{side}_{part}"] for part in parts}
+        return {part: None if j is None else skeleton.names[j] for part, j in joints.items()}
+
+    assert found.pelvis is not None
+    below_head = () if found.head is None else skeleton.descendants(found.head)
+    return BodyParts(
+        pelvis=skeleton.names[found.pelvis],
+        spine=names(found.spine),
+        neck=skeleton.names[found.neck[0]] if found.neck else None,
+        head=None if found.head is None else skeleton.names[found.head],
+        arms={side: Arm(**limb(side, ARM)) for side in SIDES},
+        legs={side: Leg(**limb(side, LEG)) for side in SIDES} if found.has_legs else {},
+        fingers=names(found.fingers()),
+        face=names([j for j in below_head if j not in found.ends]),
+        ends=names(sorted(found.ends)),
+    )
+
+
+def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
+    """Return the "left" and "right" leg of any rig; None without, or if they cannot be identified.
+
+    Unlike `find_parts`, this needs no other body parts, such as two arms or a head.
+    """
+    try:
+        return find_parts(skeleton).legs or None
+    except MotionError:
+        found = find_leg_joints(skeleton)
+    if found is None:
+        return None
+    joints: dict[str, Any] = {
+        part: j if j is None else skeleton.names[j] for part, j in found.items()
+    }
+    return {side: Leg(**{part: joints[f"{side}_{part}"] for part in LEG}) for side in SIDES}
+
+
+def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:
+    """Return the names of all joints of these legs, from the hips down; none without legs."""
+    hips = [skeleton.index(leg.hip) for leg in legs.values()]
+    return {skeleton.names[j] for hip in hips for j in (hip, *skeleton.descendants(hip))}
+
+
+def require_legs(skeleton: Skeleton) -> Mapping[str, Leg]:
+    """Return `find_legs`, for what cannot be done without legs.
+
+    Raises:
+        MotionError: two legs cannot be identified, or the rig has none.
+    """
+    legs = find_legs(skeleton) or find_parts(skeleton).legs
+    if not legs:
+        raise MotionError("the rig has no legs")
+    return legs
+
+
+def is_upper_body(skeleton: Skeleton) -> bool:
+    """Return whether all parts of a rig can be identified, and it has no legs."""
+    try:
+        return not find_parts(skeleton).legs
+    except MotionError:
+        return False
+
+
+def heading_joints(skeleton: Skeleton) -> tuple[str, str] | None:
+    """Return the left and right joint whose line faces sideways: hips, or shoulders without legs.
+
+    None if the rig has no legs that can be identified, and other parts that cannot either.
+    """
+    legs = find_legs(skeleton)
+    if legs is not None:
+        return legs["left"].hip, legs["right"].hip
+    try:
+        arms = find_parts(skeleton).arms
+    except MotionError:
+        return None
+    return arms["left"].shoulder, arms["right"].shoulder
+
+
+def unidentified(skeleton: Skeleton) -> str:
+    """Return the limbs that cannot be identified, in words; "" if all parts are found.
+
+    A rig without legs lacks nothing.
+    """
+    try:
+        find_parts(skeleton)
+    except MotionError:
+        return "arms or trunk" if find_legs(skeleton) else "legs, arms or trunk"
+    return ""
+
+
+def parse_parts(texts: Iterable[str]) -> dict[str, str]:
+    """Parse parts given on a command line: "left_elbow=Joint12" to {"left_elbow": "Joint12"}.
+
+    Raises:
+        MotionError: no such part, or no joint.
+    """
+    parts = {}
+    for text in texts:
+        part, _, joint = text.partition("=")
+        if part not in KNOWN_PARTS or not joint:
+            raise MotionError(
+                f"part {text!r}; expected PART=JOINT, PART of {', '.join(KNOWN_PARTS)}"
+            )
+        parts[part] = joint
+    return parts
+
+
+def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return a map from each joint's name to its body part in words, in the order of joints.
+
+    Labels are "pelvis", "spine", "neck", "head", "left elbow" and so on, "finger", "face", "end"
+    (marks the end of a bone), "twist" (rotates about its bone), "root" (above the pelvis), "other".
+
+    Raises:
+        MotionError: see `find_parts`.
+    """
+    return _labels(PartFinder(skeleton, {**skeleton.parts, **(overrides or {})}))
+
+
+def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
+    """Return `part_labels` of the parts that can be identified, and a message about the others.
+
+    If no part can be identified, the labels are empty; if all can, the message is empty.
+    """
+    try:
+        return part_labels(skeleton), ""
+    except MotionError as error:
+        reason = str(error)
+    found = PartFinder.partial(skeleton)
+    if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
+        reason = (
+            f"cannot identify the {found.missing_limbs()}: specify them if the rig has them, as in "
+            f"--part {found.missing[0]}=JOINT; without them, losses and metrics of arms and feet "
+            "are left out"
+        )
+    labels = _labels(found)
+    is_body = set(labels.values()) - {"other", "root", "end", "twist"}
+    return (labels if is_body else {}), reason
+
+
+def _labels(found: PartFinder) -> dict[str, str]:
+    """Return a map from joint names to body parts in words; later assignments override."""
+    skeleton = found.skeleton
+    labels = dict.fromkeys(range(skeleton.n_joints), "other")
+    if found.pelvis is not None:
+        labels |= dict.fromkeys(skeleton.ancestors(found.pelvis), "root")
+    labels |= dict.fromkeys(found.helpers(), "twist")
+    labels |= dict.fromkeys(found.fingers(), "finger")
+    if found.head is not None:
+        labels |= dict.fromkeys(skeleton.descendants(found.head), "face")
+    labels |= dict.fromkeys(found.ends, "end")
+    if found.pelvis is not None:
+        labels[found.pelvis] = "pelvis"
+    labels |= dict.fromkeys(found.spine, "spine")
+    labels |= dict.fromkeys(found.neck, "neck")
+    if found.head is not None:
+        labels[found.head] = "head"
+    for part, joint in found.limbs.items():
+        if joint is not None:
+            labels[joint] = part.replace("_", " ")
+    return {name: labels[j] for j, name in enumerate(skeleton.names)}
+
+
+def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
+    """Return the names of all joints except fingers, face and end joints, in order.
+
+    A rig whose parts cannot be identified keeps all joints.
+    """
+    try:
+        parts = find_parts(skeleton)
+    except MotionError:
+        return skeleton.names
+    left_out = {*parts.fingers, *parts.face, *parts.ends}
+    return tuple(name for name in skeleton.names if name not in left_out)
+
+
+def upper_body(skeleton: Skeleton) -> tuple[str, ...]:
+    """Return the names of the first spine joint and its descendants: spine, neck, head, arms."""
+    first = skeleton.index(find_parts(skeleton).spine[0])
+    return tuple(skeleton.names[j] for j in (first, *skeleton.descendants(first)))
+
+
+def leg_length(skeleton: Skeleton) -> float:
+    """Return the length of thigh and shank, mean of both sides, metres.
+
+    Raises:
+        MotionError: two legs cannot be identified, or the rig has none.
+    """
+    legs = require_legs(skeleton)
+    bones: list[int] = []
+    for leg in legs.values():
+        ankle, hip = skeleton.index(leg.ankle), skeleton.index(leg.hip)
+        # Twist joints may split a bone, so add up all bones between hip and ankle.
+        chain = [ankle, *skeleton.ancestors(ankle)]
+        bones += chain[: chain.index(hip)]
+    return float(np.linalg.norm(skeleton.offsets[bones], axis=1).sum() / 2)
+
+
+def arm_length(skeleton: Skeleton) -> tuple[float, float]:
+    """Return the lengths of upper arm and forearm, means of both sides, metres.
+
+    The forearm has length 0 on a rig that lacks a wrist.
+
+    Raises:
+        MotionError: parts that cannot be identified; see `find_parts`.
+    """
+    arms = find_parts(skeleton).arms.values()
+
+    def mean(bones: list[tuple[str, str]]) -> float:
+        indexed = [(skeleton.index(above), skeleton.index(below)) for above, below in bones]
+        return sum(bone_length(skeleton, *bone) for bone in indexed) / 2
+
+    upper = mean([(arm.shoulder, arm.elbow) for arm in arms])
+    lower = [(arm.elbow, arm.wrist) for arm in arms if arm.wrist is not None]
+    return upper, mean(lower) if len(lower) == 2 else 0.0
+
+
+def arm_joints(skeleton: Skeleton) -> tuple[str, str, str, str]:
+    """Return the names of left shoulder, left elbow, right shoulder and right elbow."""
+    arms = find_parts(skeleton).arms
+    left, right = arms["left"], arms["right"]
+    return left.shoulder, left.elbow, right.shoulder, right.elbow

@@ -15,9 +15,16 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts.checks import bone_length, check_limbs
-from gesturekit.motion.parts.joint_names import SIDES, bare_name, named_pairs, named_side
-from gesturekit.motion.parts.limb_shapes import Limbs, find_limbs
+from gesturekit.motion.parts.limbs import (
+    SIDES,
+    Limbs,
+    bare_name,
+    bone_length,
+    check_limbs,
+    find_limbs,
+    named_pairs,
+    named_side,
+)
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import listed
 

@@ -26,8 +26,7 @@ import numpy as np
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, BodyParts
-from gesturekit.motion.parts.body_size import body_scale, body_size
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts.body_size import body_scale, body_size, real_end_sites
 from gesturekit.motion.retarget.standing_pose import FORWARD, LEFT, UP, body_frame, frame
 from gesturekit.motion.rotations import (
     invert_quaternions,

@@ -27,9 +27,14 @@ from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
-from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets, heading_of
-from gesturekit.motion.retarget.hands import place_hands
 from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
+from gesturekit.motion.retarget.targets import (
+    HIP_DROP_SECONDS,
+    FootMotion,
+    FootTargets,
+    heading_of,
+    place_hands,
+)
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,

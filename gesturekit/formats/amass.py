@@ -4,6 +4,8 @@
 pelvis, then `betas`, `gender` and the frame rate, `mocap_frame_rate` or `mocap_framerate`. BEAT2
 adds `expressions` and has Y up; AMASS has Z up. Fingers are relative to the flat hand; tools of
 BEAT2 that add the model's mean hand curl them a little more.
+
+The keys of Seamless Interaction, `smplh:…`, are SMPL-H in the axes of the camera, 30 fps.
 """
 
 from __future__ import annotations
@@ -19,8 +21,7 @@ import numpy as np
 from audio_features.archive import Archive
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import UP_TO_Y
-from gesturekit.formats.smpl.skeleton import N_JOINTS, model_pelvis, smpl_skeleton
-from gesturekit.motion.body_shape import GENDERS, MAX_BETAS, BodyShape
+from gesturekit.formats.smpl import N_JOINTS, model_pelvis, smpl_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -29,6 +30,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
+from gesturekit.motion.skeleton import GENDERS, MAX_BETAS, BodyShape
 from gesturekit.wording import listed
 
 RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
@@ -205,3 +207,43 @@ def _text(archive: Archive, key: str) -> str:
         warnings.warn(f"{error}; it is ignored", stacklevel=2)
         return ""
     return texts[0] if texts and len(texts[0]) < 100 else ""
+
+
+FPS = 30.0
+_JOINTS = {"global_orient": 1, "body_pose": 21, "left_hand_pose": 15, "right_hand_pose": 15}
+
+
+def from_seamless(archive: Archive) -> Motion:
+    """Return the motion in the keys `smplh:…`; a body upside down, as in camera axes, is turned.
+
+    Raises:
+        FormatError: a key is missing or of a wrong shape.
+    """
+    parts = []
+    for name, n_joints in _JOINTS.items():
+        values = _values(archive, name)
+        n_frames = len(values)
+        if values.size != n_frames * n_joints * 3:
+            raise FormatError(
+                f"key 'smplh:{name}' has shape {values.shape}; expected (frames, {n_joints}, 3)"
+            )
+        parts.append(values.reshape(n_frames, n_joints, 3))
+    trans = _values(archive, "translation")
+    if len({len(part) for part in parts}) > 1 or trans.shape != (len(parts[0]), 3):
+        raise FormatError("keys 'smplh:…' differ in their numbers of frames")
+    rotations = quaternion_from_rotation_vector(np.concatenate(parts, axis=1))
+    n_joints = rotations.shape[1]
+    rest = model_pelvis(n_joints)
+    rotations, pelvis, up = to_y_up(rotations, trans + rest, "auto")
+    skeleton = replace(smpl_skeleton(n_joints), body_shape=BodyShape(pelvis=tuple(rest)))
+    try:
+        return Motion(skeleton, rotations, pelvis, FPS, info={"up": up})
+    except MotionError as error:
+        raise FormatError(f"keys 'smplh:…': {error}") from None
+
+
+def _values(archive: Archive, name: str) -> np.ndarray:
+    key = f"smplh:{name}"
+    if key not in archive:
+        raise FormatError(f"no key {key!r} in the archive")
+    return archive.numbers(key)

@@ -4,8 +4,8 @@ Conventions where programs differ: a joint's position channels replace its OFFSE
 three.js adds them); translation is applied before rotation, whatever the order of channels; Euler
 angles are intrinsic, in degrees, in the order of the channels.
 
-Files that we write contain their unit and axes (`mark`) and their exact frame rate. Arguments of
-the caller take precedence, then the mark, then detection.
+Files that we write contain their unit and axes (`UNIT_MARKS`) and their exact frame rate. Arguments
+of the caller take precedence, then the mark, then detection.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ import numpy as np
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import file_axes, with_y_up
-from gesturekit.formats.bvh import mark as bvh_mark
-from gesturekit.formats.bvh.grammar import ParsedBvh, ParsedJoint, parse_bvh
+from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedBvh, ParsedJoint, parse_bvh
 from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import first_fork
@@ -71,8 +70,8 @@ def read_bvh(
     parsed = parse_bvh(path, fps)
     if parsed.unit is not None:
         unit = parsed.unit if unit == "auto" else unit
-        if up in ("auto", bvh_mark.UP) and forward in ("auto", bvh_mark.FORWARD):
-            up, forward = bvh_mark.UP, bvh_mark.FORWARD
+        if up in ("auto", "y") and forward in ("auto", "z"):
+            up, forward = "y", "z"
     try:
         motion = _to_motion(parsed, unit)
         axes = file_axes(motion, up, forward)
@@ -259,7 +258,7 @@ def _hierarchy(motion: Motion, unit: str, places: int) -> str:
         place = offset(skeleton.offsets[joint])
         if _has_positions(motion, joint):
             channels = f"CHANNELS 6 Xposition Yposition Zposition {turns}"
-            place = offset(np.zeros(3)) if joint else f"OFFSET {bvh_mark.unit_mark(unit)}"
+            place = offset(np.zeros(3)) if joint else f"OFFSET {UNIT_MARKS[unit]}"
         lines += [
             f"{tabs}{'JOINT' if joint else 'ROOT'} {name}",
             f"{tabs}{{",

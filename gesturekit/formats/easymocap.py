@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
+from gesturekit.formats.amass import to_y_up
 from gesturekit.formats.axes import UP_TO_Y
-from gesturekit.formats.signatures import json_in_words
-from gesturekit.formats.smpl.amass import to_y_up
-from gesturekit.formats.smpl.skeleton import fit_body, model_pelvis, smpl_skeleton
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.motion.body_shape import BodyShape
+from gesturekit.formats.registry import json_in_words
+from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -32,6 +31,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     slerp,
 )
+from gesturekit.motion.skeleton import BodyShape
 from gesturekit.wording import counted
 
 _MAX_BYTES = 16 << 20

@@ -5,25 +5,29 @@ redistributed. Without them, joints are placed as on an adult of average build, 
 taken from any model; rotations are exact. With a body model, `fit_body` uses its joints.
 
 The performer's body is the skeleton's `body_shape`; its betas are of the rig's shape space.
+
+A rig of the family, or that of a file, is a target of retargeting (`Rig`).
 """
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from gesturekit.errors import FormatError
+from audio_features.atomic import atomic_write
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import UP_TO_Y
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.motion.body_shape import BodyShape
+from gesturekit.formats.gltf.scene import NoAnimationWarning
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import IDENTITY, rotate_vectors
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import BodyShape, Skeleton
 
 _BODY = (  # name, parent, offset of the left or middle joint (m): x to the left, Y up, +Z forward
     ("pelvis", None, (0.0, 0.93, 0.0)),
@@ -232,3 +236,102 @@ def mean_body(skeletons: Sequence[Skeleton]) -> Skeleton:
     }
     offsets = np.mean([one.offsets for one in own], axis=0)
     return replace(own[0], offsets=offsets, end_sites=ends, body_shape=shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Target rig.
+
+    Attributes:
+        name: a file, or smpl, smplh or smplx.
+        skeleton: its J joints.
+        pose: (J, 4) local rotations in which it stands; None for a rig of the SMPL family.
+    """
+
+    name: str
+    skeleton: Skeleton
+    pose: np.ndarray | None = None
+
+    @classmethod
+    def load(cls, name: str | os.PathLike[str], parts: Mapping[str, str] | None = None) -> Rig:
+        """Load the rig of a motion file, or one of the SMPL family by name.
+
+        Args:
+            name: the file, or smpl, smplh or smplx.
+            parts: joints of the file specified by hand, see `Skeleton.parts`.
+
+        Raises:
+            FormatError: there is no such file, or it cannot be read.
+            MotionError: the file's parts cannot be identified, it never stands, or `parts` are
+                given for an SMPL rig, whose parts are known.
+        """
+        name, parts = os.fspath(name), parts or {}
+        if name in RIGS:
+            if parts:
+                raise MotionError(f"the parts of {name} are fixed; leave out {', '.join(parts)}")
+            return cls(name, smpl_skeleton(RIGS[name]))
+        if not Path(name).exists():
+            raise FormatError(
+                f"rig {name!r}: no such file; give a motion file that has the rig, or one of "
+                f"{', '.join(RIGS)}"
+            )
+        from gesturekit.motion.retarget.standing_pose import standing_pose
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NoAnimationWarning)  # a rest pose is enough
+            motion = Motion.load(name)
+        try:
+            motion = motion.with_parts(parts)
+            return cls(Path(name).name, motion.skeleton, standing_pose(motion))
+        except MotionError as error:
+            raise MotionError(f"{name}: {error}") from None
+
+    @property
+    def options(self) -> dict[str, dict[str, str]]:
+        """Options of writers by suffix: an npz file has the pose vectors of the chosen SMPL rig."""
+        return {".npz": {"rig": self.name}} if self.pose is None else {}
+
+    def put(self, motion: Motion) -> Motion:
+        """Retarget a motion to this rig; within the SMPL family, copy joints by name.
+
+        Raises:
+            MotionError: parts of the motion's rig cannot be identified, or it never stands.
+        """
+        if self.pose is None and is_smpl(motion.skeleton):
+            return as_smpl(motion, self.skeleton.n_joints)
+        from gesturekit.motion.retarget import retarget
+
+        return retarget(motion, self.skeleton, pose=self.pose)
+
+
+def write_obj(
+    motion: Motion,
+    path: str | os.PathLike[str],
+    *,
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+    frame: int = 0,
+) -> None:
+    """Write the body mesh of one frame, metres, Y up.
+
+    Args:
+        motion: on a rig of the SMPL family, or one that can be retargeted to it.
+        path: the file, written atomically.
+        body_model: a `BodyModel`, its .npz file, or a folder of models (`BodyModel.of`).
+        frame: frame index; a negative one counts from the end.
+
+    Raises:
+        FormatError: no body model, or no such frame.
+    """
+    if body_model is None:
+        raise FormatError(
+            f"{path}: an .obj file holds a body mesh, which a motion has not: name a body model "
+            "(--body-model SMPLX_NEUTRAL.npz)"
+        )
+    if not -motion.n_frames <= frame < motion.n_frames:
+        raise FormatError(f"{path}: frame {frame} of a motion of {motion.n_frames} frames")
+    frame %= motion.n_frames
+    body = BodyModel.of(body_model, motion.skeleton)
+    (skin,) = body.vertices(fit_body(motion[frame : frame + 1], body))
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
+        np.savetxt(out, skin, fmt="v %.6f %.6f %.6f")
+        np.savetxt(out, body.faces + 1, fmt="f %d %d %d")
