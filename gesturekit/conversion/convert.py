@@ -27,8 +27,12 @@ from gesturekit.jobs.run import EXISTING, Batch, Execution, refuse_existing
 from gesturekit.jobs.task import Task
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
-from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted
+
+_WITHOUT_FACES = {".bvh": "BVH", ".glb": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
+"""Formats without expressions and body shape, by suffix."""
+_GLANCE = 1 << 18  # bytes in which the hierarchy of a BVH file ends
+_LENGTH = re.compile(rb"Frames:\s*(\d{1,9})\s+Frame\s+Time:\s*([\d.]{1,20})", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -80,24 +84,21 @@ class Changes:
             done.append(f"on {self.rig.name}, {counted(motion.skeleton.n_joints, 'joint')}")
         if self.joints != "all":
             before = motion
-            motion = motion.keep(self._joints(motion.skeleton))
+            motion = motion.keep(
+                body_joints(motion.skeleton) if self.joints == "body" else self.joints
+            )
             if motion is not before:
                 done.append(f"{motion.skeleton.n_joints} of {before.skeleton.n_joints} joints")
-            if now_moving := sorted(
-                set(motion.joint_translations) - set(before.joint_translations)
-            ):
+            if moving := motion.joint_translations.keys() - before.joint_translations.keys():
                 warnings.warn(
-                    f"{', '.join(now_moving)}: a parent joint that rotates was removed, so these "
-                    "joints get position channels, which some programs ignore",
+                    f"{', '.join(sorted(moving))}: a parent joint that rotates was removed, so "
+                    "these joints get position channels, which some programs ignore",
                     stacklevel=2,
                 )
         if self.fps is not None and self.fps != motion.fps:
             done.append(f"{motion.fps:.6g} to {self.fps:.6g} fps")
             motion = motion.resample(self.fps, antialias=self.antialias)
         return motion, done
-
-    def _joints(self, skeleton: Skeleton) -> tuple[str, ...]:
-        return body_joints(skeleton) if self.joints == "body" else tuple(self.joints)
 
 
 def parse_trim(text: str) -> tuple[float, float]:
@@ -113,10 +114,6 @@ def parse_trim(text: str) -> tuple[float, float]:
     if end <= start:
         raise ConfigError(f"trim {text!r} ends before it begins")
     return start, end
-
-
-_WITHOUT_FACES = {".bvh": "BVH", ".glb": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
-"""Formats without expressions and body shape, by suffix."""
 
 
 @dataclass(frozen=True)
@@ -137,83 +134,20 @@ class FormatOptions:
     parts: Mapping[str, str] = field(default_factory=dict)
 
 
-def with_body_model(options: FormatOptions) -> FormatOptions:
-    """Return options whose body model is among those of readers and writers."""
-    if options.body_model is None:
-        return options
-    model = {"body_model": options.body_model}
-    return replace(options, read={**options.read, **model}, write={**options.write, **model})
-
-
-def describe(motion: Motion) -> str:
-    """Return a summary of a motion: unit, axes, rate, frames, joints; "?" marks guesses."""
-    words = describe_axes(motion.info, "?")
-    if "scale" in motion.info:
-        words.append(f"scaled by {motion.info['scale']:.4g}")
-    words.append(f"{motion.fps:.6g} fps")
-    words.append(counted(motion.n_frames, "frame"))
-    words.append(counted(motion.skeleton.n_joints, "joint"))
-    return ", ".join(words)
-
-
-def without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
-    """Return the formats that can be written without a body model."""
-    if "obj" not in (formats or [out.suffix.lower()[1:]]):
-        return formats
-    needs = "an obj needs the mesh of a body model: give --body-model SMPLX_NEUTRAL.npz"
-    others = [name for name in formats if name != "obj"]
-    if not others:
-        raise ConfigError(needs)
-    warnings.warn(f"no obj is written; {needs}", stacklevel=3)
-    return others
-
-
-def warn_of_losses(motion: Motion, target: Path) -> None:
-    """Warn of data of a motion that the format of a target cannot hold."""
-    name = _WITHOUT_FACES.get(target.suffix.lower())
-    if name:
-        lost = ["face expressions"] if motion.expressions is not None else []
-        if motion.skeleton.body_shape.betas:
-            lost.append("body shape (betas)")
-        if lost:
-            warnings.warn(
-                f"{target}: {name} holds no {' and no '.join(lost)}; npz does", stacklevel=2
-            )
-
-
-_GLANCE = 1 << 18  # bytes in which the hierarchy of a BVH file ends
-_LENGTH = re.compile(rb"Frames:\s*(\d{1,9})\s+Frame\s+Time:\s*([\d.]{1,20})", re.IGNORECASE)
-
-
-@dataclass
 class Converter(Processor):
-    """Conversion of one motion, with all settings.
+    """Conversion of one motion, with all settings of a `Conversion`, into a folder."""
 
-    Args:
-        out: output folder.
-        formats: suffixes of the files to write, without the dot.
-        changes: changes to make.
-        options: options of readers and writers, see `with_body_model`.
-        existing: "refuse", "skip" or "replace" files that were made with other settings.
-        dry_run: read and change, but write nothing.
-    """
-
-    out: Path
-    formats: Sequence[str]
-    changes: Changes
-    options: FormatOptions
-    existing: str
-    dry_run: bool
-    settings: dict[str, Any] = field(init=False)
-    written: dict[str, dict[str, Any]] = field(init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, conversion: Conversion, out: Path, formats: Sequence[str]) -> None:
+        options = conversion.options
+        model = {} if options.body_model is None else {"body_model": options.body_model}
+        self.read, self.write = {**options.read, **model}, {**options.write, **model}
+        self.out, self.existing, self.parts = out, conversion.existing, options.parts
+        self.changes, self.dry_run = conversion.changes, conversion.dry_run
         changes = {f.name: getattr(self.changes, f.name) for f in dataclasses.fields(Changes)}
-        read = {f"in-{name}": value for name, value in self.options.read.items()}
-        self.settings = json_of({**changes, **read, "parts": dict(self.options.parts)})
+        read = {f"in-{name}": value for name, value in self.read.items()}
+        self.settings = json_of({**changes, **read, "parts": dict(self.parts)})
         self.written = {
-            kind: json_of(applicable_write_options(Path(f"x.{kind}"), self.options.write))
-            for kind in self.formats
+            kind: json_of(applicable_write_options(kind, self.write)) for kind in formats
         }
 
     def make(self, result: Result) -> None:
@@ -236,24 +170,21 @@ class Converter(Processor):
         task = result.task
         if task.path is None:
             raise ConfigError(f"plan: item {task.id!r} is damaged; delete the plan for a new one")
-        motion = load(task.path, self.options.read, self.options.parts)
-        for reason in plausibility_warnings(motion, self.options.read):
+        motion = load(task.path, self.read, self.parts)
+        for reason in plausibility_warnings(motion, self.read):
             warnings.warn(f"{task.source}: {reason}", stacklevel=2)
-        result.facts["found"] = describe(motion)
+        result.facts["found"] = _summary(motion)
         motion, done = self.changes(motion)
         result.facts["done"] = tuple(done)
         result.sound = motion.duration
         for target in self.missing(result, task.id):
-            self._write(motion, target)
-
-    def _write(self, motion: Motion, target: Path) -> None:
-        """Write one file, warning of data that its format cannot hold."""
-        options = applicable_write_options(target, self.options.write)
-        if self.changes.rig is not None:
-            options |= self.changes.rig.options.get(target.suffix.lower(), {})
-        warn_of_losses(motion, target)
-        if not self.dry_run:
-            motion.save(target, **options)
+            suffix = target.suffix.lower()
+            options = applicable_write_options(suffix[1:], self.write)
+            if self.changes.rig is not None:
+                options |= self.changes.rig.options.get(suffix, {})
+            _warn_of_losses(motion, target)
+            if not self.dry_run:
+                motion.save(target, **options)
 
 
 @dataclass
@@ -297,28 +228,22 @@ class Conversion:
         sources = self.sources
         paths = [sources] if isinstance(sources, str | os.PathLike) else sources
         self._sources = [Path(path) for path in paths]
-        self._out = Path(self.out)
+        self._out = out = Path(self.out)
         if self.options.body_model is None:
-            self.formats = without_mesh(self.formats, self._out)
-        self._is_one = is_file_name(self._out, self._sources, self.formats)
+            self.formats = _without_mesh(self.formats, out)
+        self._is_one = is_file_name(out, self._sources, self.formats)
         if self._is_one:
             if self.execution.shard[1] > 1:
-                raise ConfigError(
-                    f"{self.out} is a file, which cannot be split into shards; give a folder"
-                )
+                raise ConfigError(f"{out}: a file cannot be split into shards; give a folder")
             self.tasks = self._find()
-            self._converter = self._converter_into(self._out.parent, [self._out.suffix[1:]])
-            self._kept = _kept(self._out, self.existing)
+            self._converter = Converter(self, out.parent, [out.suffix[1:]])
+            self._kept = _kept(out, self.existing)
             return
-        self._converter = self._converter_into(self._out, self.formats)
+        self._converter = Converter(self, out, self.formats)
         named = [os.path.abspath(source) for source in self._sources]  # noqa: PTH100
         request = ["convert", named, list(self.formats)]
         self._batch = Batch(self._converter, self._find, request, self.execution)
         self.tasks = self._batch.tasks
-
-    def _converter_into(self, out: Path, formats: Sequence[str]) -> Converter:
-        options = with_body_model(self.options)
-        return Converter(out, formats, self.changes, options, self.existing, self.dry_run)
 
     def run(self) -> Iterator[Result]:
         """Convert, and yield the result of each motion as soon as it is done.
@@ -336,47 +261,56 @@ class Conversion:
             yield result
 
     def _results(self) -> Iterator[Result]:
-        if self._is_one:
-            status = "kept" if self._kept else "left"
-            yield self._tried(Result(self.tasks[0], status, kept=self._kept))
-        elif self.dry_run:
-            yield from (self._tried(self._batch.known(task)) for task in self.tasks)
-        else:
+        if not self._is_one and not self.dry_run:
             yield from self._batch.run()
-
-    def _tried(self, result: Result) -> Result:
-        """Do the work that is left, without recording it in a journal."""
-        return self._converter(result) if result.status == "left" else result
+            return
+        # Without a journal.
+        for task in self.tasks:
+            if self._is_one:
+                result = Result(task, "kept" if self._kept else "left", kept=self._kept)
+            else:
+                result = self._batch.known(task)
+            yield self._converter(result) if result.status == "left" else result
 
     def _find(self) -> list[Task]:
         tasks = find_tasks(self._sources, self._out, self.formats)
         paths = [task.file for task in tasks if task.error is None]
-        names = [self._out] if self._is_one else [Path(f"x.{kind}") for kind in self.formats]
-        options, targets = self.options, names if paths else []
-        refuse_unused_options(options.read, options.write, options.body_model, paths, targets)
+        formats = [self._out.suffix.lower()[1:]] if self._is_one else self.formats
+        options = self.options
+        refuse_unused_options(
+            options.read, options.write, options.body_model, paths, formats if paths else ()
+        )
         return [replace(task, duration=_length(task.file)) for task in tasks]
 
 
-def convert(
-    sources: Sequence[str | os.PathLike[str]] | str | os.PathLike[str],
-    out: str | os.PathLike[str],
-    **settings: Any,
-) -> Iterator[Result]:
-    """Read each motion, change it, and write it in other formats.
+def _summary(motion: Motion) -> str:
+    """Return unit, axes, rate, frames and joints of a motion; "?" marks guesses."""
+    words = describe_axes(motion.info, "?")
+    if "scale" in motion.info:
+        words.append(f"scaled by {motion.info['scale']:.4g}")
+    frames, joints = counted(motion.n_frames, "frame"), counted(motion.skeleton.n_joints, "joint")
+    return ", ".join([*words, f"{motion.fps:.6g} fps", frames, joints])
 
-    Args:
-        sources: motion files, and folders to search for motions.
-        out: a file for a single motion, otherwise a folder.
-        settings: the other fields of `Conversion`.
 
-    Yields:
-        The result of each motion, as soon as it is done.
+def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
+    """Return the formats that can be written without a body model."""
+    if "obj" not in (formats or [out.suffix.lower()[1:]]):
+        return formats
+    needs = "an obj needs the mesh of a body model: give --body-model SMPLX_NEUTRAL.npz"
+    others = [name for name in formats if name != "obj"]
+    if not others:
+        raise ConfigError(needs)
+    warnings.warn(f"no obj is written; {needs}", stacklevel=3)
+    return others
 
-    Raises:
-        ConfigError: the conversion cannot start.
-        OutputError: the disk became full; what is done is kept.
-    """
-    yield from Conversion(sources, out, **settings).run()
+
+def _warn_of_losses(motion: Motion, target: Path) -> None:
+    """Warn of data of a motion that the format of a target cannot hold."""
+    name = _WITHOUT_FACES.get(target.suffix.lower())
+    lost = ["face expressions"] if motion.expressions is not None else []
+    lost += ["body shape (betas)"] if motion.skeleton.body_shape.betas else []
+    if name and lost:
+        warnings.warn(f"{target}: {name} holds no {' and no '.join(lost)}; npz does", stacklevel=2)
 
 
 def _length(source: Path) -> float | None:

@@ -96,55 +96,39 @@ def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
             yield from ((skeleton.names[a], skeleton.names[b]) for a, b in zip(*sides))
 
 
-def find_parts(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> BodyParts:
-    """Identify the body parts of a rig.
+@functools.lru_cache(maxsize=64)  # skeletons never change
+def find_parts(skeleton: Skeleton) -> BodyParts:
+    """Identify the body parts of a rig, including those specified by hand (`Skeleton.parts`).
 
     A rig with arms has no legs if nothing on its trunk could be a leg. Chains that could be, and
     are not identified, are an error.
-
-    Args:
-        skeleton: the rig, including parts specified by hand (`Skeleton.parts`).
-        overrides: more joints specified by hand, such as {"left_elbow": "Joint12"}. Keys are `head`
-            and left_ or right_ with clavicle, shoulder, elbow, wrist, hip, knee, ankle or toe.
 
     Raises:
         MotionError: parts that cannot be identified, or are implausible (a knee that is not below
             the hip, a left leg twice as long as the right one, ...). The error says which joint to
             specify by hand.
     """
-    if not overrides:
-        return _parts_of(skeleton)
-    return _named(skeleton, PartFinder(skeleton, {**skeleton.parts, **overrides}))
-
-
-@functools.lru_cache(maxsize=64)
-def _parts_of(skeleton: Skeleton) -> BodyParts:
-    """Return `find_parts` without overrides; skeletons never change."""
-    return _named(skeleton, PartFinder(skeleton, skeleton.parts))
-
-
-def _named(skeleton: Skeleton, found: PartFinder) -> BodyParts:
-    """Return the parts with the names of their joints."""
+    finder = PartFinder.complete(skeleton)
 
     def names(joints: list[int]) -> tuple[str, ...]:
         return tuple(skeleton.names[j] for j in joints)
 
     def limb(side: str, parts: tuple[str, ...]) -> dict[str, Any]:
-        joints = {part: found.limbs[f"{side}_{part}"] for part in parts}
+        joints = {part: finder.limbs[f"{side}_{part}"] for part in parts}
         return {part: None if j is None else skeleton.names[j] for part, j in joints.items()}
 
-    assert found.pelvis is not None
-    below_head = () if found.head is None else skeleton.descendants(found.head)
+    assert finder.pelvis is not None
+    below_head = () if finder.head is None else skeleton.descendants(finder.head)
     return BodyParts(
-        pelvis=skeleton.names[found.pelvis],
-        spine=names(found.spine),
-        neck=skeleton.names[found.neck[0]] if found.neck else None,
-        head=None if found.head is None else skeleton.names[found.head],
+        pelvis=skeleton.names[finder.pelvis],
+        spine=names(finder.spine),
+        neck=skeleton.names[finder.neck[0]] if finder.neck else None,
+        head=None if finder.head is None else skeleton.names[finder.head],
         arms={side: Arm(**limb(side, ARM)) for side in SIDES},
-        legs={side: Leg(**limb(side, LEG)) for side in SIDES} if found.has_legs else {},
-        fingers=names(found.fingers()),
-        face=names([j for j in below_head if j not in found.ends]),
-        ends=names(sorted(found.ends)),
+        legs={side: Leg(**limb(side, LEG)) for side in SIDES} if finder.has_legs else {},
+        fingers=names(finder.fingers()),
+        face=names([j for j in below_head if j not in finder.ends]),
+        ends=names(sorted(finder.ends)),
     )
 
 
@@ -156,13 +140,13 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
     try:
         return find_parts(skeleton).legs or None
     except MotionError:
-        found = find_leg_joints(skeleton)
-    if found is None:
+        joints = find_leg_joints(skeleton)
+    if joints is None:
         return None
-    joints: dict[str, Any] = {
-        part: j if j is None else skeleton.names[j] for part, j in found.items()
+    names: dict[str, Any] = {
+        part: j if j is None else skeleton.names[j] for part, j in joints.items()
     }
-    return {side: Leg(**{part: joints[f"{side}_{part}"] for part in LEG}) for side in SIDES}
+    return {side: Leg(**{part: names[f"{side}_{part}"] for part in LEG}) for side in SIDES}
 
 
 def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:
@@ -235,7 +219,7 @@ def parse_parts(texts: Iterable[str]) -> dict[str, str]:
     return parts
 
 
-def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) -> dict[str, str]:
+def part_labels(skeleton: Skeleton) -> dict[str, str]:
     """Return a map from each joint's name to its body part in words, in the order of joints.
 
     Labels are "pelvis", "spine", "neck", "head", "left elbow" and so on, "finger", "face", "end"
@@ -244,7 +228,7 @@ def part_labels(skeleton: Skeleton, overrides: Mapping[str, str] | None = None) 
     Raises:
         MotionError: see `find_parts`.
     """
-    return _labels(PartFinder(skeleton, {**skeleton.parts, **(overrides or {})}))
+    return _labels(PartFinder.complete(skeleton))
 
 
 def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
@@ -256,36 +240,36 @@ def known_part_labels(skeleton: Skeleton) -> tuple[dict[str, str], str]:
         return part_labels(skeleton), ""
     except MotionError as error:
         reason = str(error)
-    found = PartFinder.partial(skeleton)
-    if found.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
+    finder = PartFinder.partial(skeleton)
+    if finder.missing and not any(repr(name) in reason for name in skeleton.parts.values()):
         reason = (
-            f"cannot identify the {found.missing_limbs()}: specify them if the rig has them, as in "
-            f"--part {found.missing[0]}=JOINT; without them, losses and metrics of arms and feet "
-            "are left out"
+            f"cannot identify the {finder.missing_limbs()}: specify them if the rig has them, as "
+            f"in --part {finder.missing[0]}=JOINT; without them, losses and metrics of arms and "
+            "feet are left out"
         )
-    labels = _labels(found)
+    labels = _labels(finder)
     is_body = set(labels.values()) - {"other", "root", "end", "twist"}
     return (labels if is_body else {}), reason
 
 
-def _labels(found: PartFinder) -> dict[str, str]:
+def _labels(finder: PartFinder) -> dict[str, str]:
     """Return a map from joint names to body parts in words; later assignments override."""
-    skeleton = found.skeleton
+    skeleton = finder.skeleton
+    pelvis, head = ([] if j is None else [j] for j in (finder.pelvis, finder.head))
     labels = dict.fromkeys(range(skeleton.n_joints), "other")
-    if found.pelvis is not None:
-        labels |= dict.fromkeys(skeleton.ancestors(found.pelvis), "root")
-    labels |= dict.fromkeys(found.helpers(), "twist")
-    labels |= dict.fromkeys(found.fingers(), "finger")
-    if found.head is not None:
-        labels |= dict.fromkeys(skeleton.descendants(found.head), "face")
-    labels |= dict.fromkeys(found.ends, "end")
-    if found.pelvis is not None:
-        labels[found.pelvis] = "pelvis"
-    labels |= dict.fromkeys(found.spine, "spine")
-    labels |= dict.fromkeys(found.neck, "neck")
-    if found.head is not None:
-        labels[found.head] = "head"
-    for part, joint in found.limbs.items():
+    for joints, label in (
+        ([j for joint in pelvis for j in skeleton.ancestors(joint)], "root"),
+        (finder.helpers(), "twist"),
+        (finder.fingers(), "finger"),
+        ([j for joint in head for j in skeleton.descendants(joint)], "face"),
+        (finder.ends, "end"),
+        (pelvis, "pelvis"),
+        (finder.spine, "spine"),
+        (finder.neck, "neck"),
+        (head, "head"),
+    ):
+        labels |= dict.fromkeys(joints, label)
+    for part, joint in finder.limbs.items():
         if joint is not None:
             labels[joint] = part.replace("_", " ")
     return {name: labels[j] for j, name in enumerate(skeleton.names)}

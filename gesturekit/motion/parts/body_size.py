@@ -1,8 +1,8 @@
 """Body size, by which speeds, distances and thresholds are scaled, and plausible end sites.
 
 End sites mark the end of a bone. A BVH file needs one on each leaf joint, and exporters without
-data write a placeholder: as long as the bone before it but pointing up (Blender on Mixamo's rigs), the
-same vector everywhere, or beyond a joint that already marks the end ("LeftToe_End"). Toes and
+data write a placeholder: as long as the bone before it but pointing up (Blender on Mixamo's rigs),
+the same vector everywhere, or beyond a joint that already marks the end ("LeftToe_End"). Toes and
 fingertips drawn from these point up.
 """
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES, BodyParts
+from gesturekit.motion.parts import SIDES, BodyParts, find_parts
 from gesturekit.motion.parts.body_size import body_scale, body_size, real_end_sites
 from gesturekit.motion.retarget.standing_pose import FORWARD, LEFT, UP, body_frame, frame
 from gesturekit.motion.rotations import (
@@ -175,20 +175,20 @@ class BodyFrames:
         return replace(self, from_anatomical=levelled)
 
 
-def body_frames(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> BodyFrames:
+def body_frames(skeleton: Skeleton, pose: np.ndarray) -> BodyFrames:
     """Read the anatomical frames of a rig from its standing pose: local rotations (J, 4)."""
-    return _Builder(skeleton, parts, pose).build()
+    return _Builder(skeleton, pose).build()
 
 
 class _Builder:
     """Construction of `BodyFrames`, segment by segment."""
 
-    def __init__(self, skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> None:
-        self.skeleton, self.parts, self.pose = skeleton, parts, pose
+    def __init__(self, skeleton: Skeleton, pose: np.ndarray) -> None:
+        self.skeleton, self.parts, self.pose = skeleton, find_parts(skeleton), pose
         self.scale, self.ends = body_scale(skeleton), real_end_sites(skeleton)
         self.places = forward_kinematics(pose, np.zeros(3), skeleton)
         self.world = global_rotations(pose, skeleton)
-        self.body = body_frame(skeleton, parts, pose)
+        self.body = body_frame(skeleton, pose)
         self.joints: dict[str, int] = {}
         self.frames: dict[str, np.ndarray] = {}
         self.bones: dict[str, tuple[int, np.ndarray]] = {}

@@ -16,16 +16,14 @@ legs, the pelvis moves as the source's, and legs of the target stand straight be
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
 from gesturekit.motion.retarget.targets import (
@@ -51,8 +49,6 @@ def retarget(
     motion: Motion,
     skeleton: Skeleton,
     *,
-    parts: Mapping[str, str] | None = None,
-    target_parts: Mapping[str, str] | None = None,
     feet: bool = True,
     pose: np.ndarray | None = None,
 ) -> Motion:
@@ -61,8 +57,6 @@ def retarget(
     Args:
         motion: T frames on the source rig.
         skeleton: the target rig, J joints, in its own size.
-        parts: parts of the source rig specified by hand, see `parts.find_parts`.
-        target_parts: parts of `skeleton` specified by hand.
         feet: keep the source's foot positions by inverse kinematics.
         pose: (J, 4) local rotations in which the target stands upright. By default its rest pose,
             which need not be a T- or A-pose. Some rigs do not stand at rest (Bandai-Namco's); for
@@ -76,7 +70,7 @@ def retarget(
         MotionError: parts of either rig that cannot be identified, a source that never stands, or a
             target that is no skeleton. Legs are not needed.
     """
-    return Transfer(skeleton, parts=parts, target_parts=target_parts, feet=feet, pose=pose)(motion)
+    return Transfer(skeleton, feet=feet, pose=pose)(motion)
 
 
 class Transfer:
@@ -87,17 +81,13 @@ class Transfer:
     """
 
     def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        parts: Mapping[str, str] | None = None,
-        target_parts: Mapping[str, str] | None = None,
-        feet: bool = True,
-        pose: np.ndarray | None = None,
+        self, skeleton: Skeleton, *, feet: bool = True, pose: np.ndarray | None = None
     ) -> None:
-        _check_target(skeleton)
-        self._skeleton, self._parts, self._target_parts = skeleton, parts, target_parts
-        self._feet, self._pose = feet, pose
+        if not isinstance(skeleton, Skeleton):
+            hint = "; give its skeleton" if isinstance(skeleton, Motion) else ""
+            kind = type(skeleton).__name__
+            raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
+        self._skeleton, self._feet, self._pose = skeleton, feet, pose
         self._source: BodyFrames | None = None
         self._targets: FootTargets
         self._path: tuple[np.ndarray, float] | None = None
@@ -105,14 +95,12 @@ class Transfer:
     def __call__(self, motion: Motion) -> Motion:
         """Return the motion on the target rig; errors as for `retarget`."""
         skeleton = self._skeleton
-        source, same = self._source, _is_one_rig(skeleton, motion.skeleton)
-        is_first = source is None
-        if source is None:
-            source_parts = find_parts(motion.skeleton, self._parts)
-            source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
+        names, parents = motion.skeleton.names, motion.skeleton.parents
+        same = (skeleton.names, skeleton.parents) == (names, parents)
+        source = self._source or body_frames(motion.skeleton, standing_pose(motion))
         own = _Posed(motion, motion.positions(), motion.global_rotations())
         own_feet = FootMotion.measure(motion, source, *own[1:]) if source.parts.legs else None
-        if is_first:
+        if self._source is None:
             source = self._fit(motion, source, own_feet, same)
         target = self._target
         moving = {
@@ -138,10 +126,8 @@ class Transfer:
             # Joint axes mean the same on one rig, whatever the offsets of a performer.
             target = replace(source, skeleton=self._skeleton)
         else:
-            found = find_parts(self._skeleton, self._target_parts)
-            pose = self._pose
-            stands = standing_rig(self._skeleton, found) if pose is None else np.asarray(pose)
-            target = body_frames(self._skeleton, found, stands)
+            pose = standing_rig(self._skeleton) if self._pose is None else np.asarray(self._pose)
+            target = body_frames(self._skeleton, pose)
         self._source, self._target, self._carrier = source, target, _carrier(target)
         self._scale = target.leg_length() / source.leg_length()
         if feet is not None and target.parts.legs:
@@ -229,18 +215,6 @@ class _Posed(NamedTuple):
     turns: np.ndarray
 
 
-def _is_one_rig(a: Skeleton, b: Skeleton) -> bool:
-    return (a.names, a.parents) == (b.names, b.parents)
-
-
-def _check_target(skeleton: Any) -> None:
-    """Raise MotionError for a target that is no skeleton, such as a motion on it."""
-    if not isinstance(skeleton, Skeleton):
-        kind = type(skeleton).__name__
-        hint = "; give its skeleton" if isinstance(skeleton, Motion) else ""
-        raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
-
-
 def _world_rotations(
     posed: _Posed, source: BodyFrames, target: BodyFrames, same: bool
 ) -> np.ndarray:
@@ -282,32 +256,29 @@ def _segment_frames(
 
     A segment that the source does not have gets the frame of a neighbour.
     """
-    found = {}
-    spine = source.chain("spine")
+    targets = {}
+    spine, neck = source.chain("spine"), source.chain("neck")
+    chest = frames[spine[-1]]
     for segment in target.joints:
         kind = segment.rstrip("0123456789")
-        if kind == "spine":
-            found[segment] = _along(source, spine, target, segment, frames)
+        if kind == "spine" or (kind == "neck" and neck):
+            chain = spine if kind == "spine" else neck
+            targets[segment] = _along(source, chain, target, segment, frames)
         elif kind == "neck":
-            neck = source.chain("neck")
-            found[segment] = (
-                _along(source, neck, target, segment, frames)
-                if neck
-                else slerp(frames[spine[-1]], frames.get("head", frames[spine[-1]]), np.array(0.5))
-            )
+            targets[segment] = slerp(chest, frames.get("head", chest), np.array(0.5))
         elif segment in frames:
-            found[segment] = frames[segment]
+            targets[segment] = frames[segment]
         elif kind == "head":
-            found[segment] = frames[(source.chain("neck") or spine)[-1]]
+            targets[segment] = frames[(neck or spine)[-1]]
         elif kind.endswith("clavicle"):
-            found[segment] = frames[spine[-1]]
+            targets[segment] = chest
         elif kind.endswith("wrist"):
-            found[segment] = frames[kind.replace("wrist", "elbow")]
+            targets[segment] = frames[kind.replace("wrist", "elbow")]
         elif not source.parts.legs and kind.endswith(("hip", "knee", "ankle", "toe")):
-            found[segment] = heading_of(frames["pelvis"])
+            targets[segment] = heading_of(frames["pelvis"])
         elif kind.endswith("toe"):
-            found[segment] = frames[kind.replace("toe", "ankle")]
-    return found
+            targets[segment] = frames[kind.replace("toe", "ankle")]
+    return targets
 
 
 def _along(
