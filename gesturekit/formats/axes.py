@@ -63,6 +63,12 @@ class FileAxes:
     guessed: tuple[str, ...] = ()
 
 
+def check_up(up: str) -> None:
+    """Raise FormatError for an up axis that SMPL files do not have, and that is not "auto"."""
+    if up not in ("auto", *UP_TO_Y):
+        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
+
+
 def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAxes:
     """Return the axes of a motion, as given or, if "auto", as detected.
 

@@ -21,7 +21,6 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +32,12 @@ from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import (
     from_amass,
     from_seamless,
+    read_number,
     read_shape,
     to_amass,
     with_expressions,
 )
-from gesturekit.formats.axes import UP_TO_Y
+from gesturekit.formats.axes import UP_TO_Y, check_up
 from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
@@ -45,6 +45,10 @@ from gesturekit.motion.skeleton import Skeleton
 
 NPZ_FORMAT = 1
 _MAX_JOINTS = 2000
+_NATIVE = (
+    "'names', 'parents', 'offsets', 'rotation_orders', 'end_site_offsets', 'rotations', "
+    "'translation', 'joint_translations', 'fps'"
+)
 
 
 def read_npz(
@@ -69,8 +73,7 @@ def read_npz(
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
     """
     path = Path(path)
-    if up not in ("auto", *UP_TO_Y):
-        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
+    check_up(up)
     with open_archive(path, FormatError) as archive:
         try:
             if "v_template" in archive and "poses" not in archive:
@@ -82,12 +85,17 @@ def read_npz(
                 raise FormatError(
                     f"{path}: speech features (keys 'values', 'times', 'spec'), not a motion"
                 )
+            keys = "'poses', 'trans', 'mocap_frame_rate'"
             if "gk_version" in archive:
+                keys = _NATIVE
                 motion = _from_native(archive)
             elif "smplh:body_pose" in archive:
+                keys = "'smplh:…'"
                 motion = from_seamless(archive)
             else:
                 motion = from_amass(archive, up)
+        except MotionError as error:
+            raise FormatError(f"{path}: keys {keys}: {error}") from None
         except (TypeError, ValueError, IndexError, OverflowError) as error:
             text = str(error)
             raise FormatError(text if text.startswith(str(path)) else f"{path}: {text}") from None
@@ -189,53 +197,48 @@ def _from_native(archive: Archive) -> Motion:
             f"{NPZ_FORMAT}"
         )
     names = tuple(archive.texts("names", _MAX_JOINTS))
+
+    def by_joint(joints_key: str, key: str, values: Any) -> list[tuple[str, Any]]:
+        """Return (joint name, value); the array `joints_key` has the joint index of each value."""
+        joints = _indices(archive, joints_key, 0, len(names))
+        if not np.ndim(values) or len(values) != len(joints):
+            shape = np.shape(values)
+            raise FormatError(f"key {key!r} has shape {shape}, but {joints_key!r} {len(joints)}")
+        return [(names[joint], value) for joint, value in zip(joints, values)]
+
     ends: dict[str, list[np.ndarray]] = {}
     sites = archive.numbers("end_site_offsets")
-    for name, site in _by_joint(archive, "end_site_joints", "end_site_offsets", sites, names):
+    for name, site in by_joint("end_site_joints", "end_site_offsets", sites):
         ends.setdefault(name, []).append(site)
     parts: dict[str, str] = {}
     if "parts_by_hand" in archive:
         by_hand = archive.texts("parts_by_hand", _MAX_JOINTS)
-        found = _by_joint(archive, "part_joints", "parts_by_hand", by_hand, names)
-        parts = {part: name for name, part in found}
+        parts = {part: name for name, part in by_joint("part_joints", "parts_by_hand", by_hand)}
     pelvis = archive.numbers("body_pelvis") if "body_pelvis" in archive else None
     if pelvis is not None and (pelvis.shape != (3,) or not np.isfinite(pelvis).all()):
         raise FormatError(f"key 'body_pelvis' has shape {pelvis.shape}; expected three numbers")
-    try:
-        skeleton = Skeleton(
-            names=names,
-            parents=tuple(_indices(archive, "parents", -1, len(names))),
-            offsets=archive.numbers("offsets"),
-            end_sites=ends,
-            rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
-            parts=parts,
-            body_shape=read_shape(archive, "body_betas", pelvis),
-        )
-    except MotionError as error:
-        raise FormatError(
-            f"keys 'names', 'parents', 'offsets', 'rotation_orders', 'end_site_offsets': {error}"
-        ) from None
+    skeleton = Skeleton(
+        names=names,
+        parents=tuple(_indices(archive, "parents", -1, len(names))),
+        offsets=archive.numbers("offsets"),
+        end_sites=ends,
+        rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
+        parts=parts,
+        body_shape=read_shape(archive, "body_betas", pelvis),
+    )
     places = archive.numbers("joint_translations")
-    moving = dict(_by_joint(archive, "moving_joints", "joint_translations", places, names))
-    fps = archive.numbers("fps")
-    if fps.size != 1:
-        raise FormatError(f"key 'fps' has shape {fps.shape}; expected one number")
-    try:
-        motion = Motion(
-            skeleton=skeleton,
-            rotations=archive.numbers("rotations"),
-            translation=archive.numbers("translation"),
-            fps=fps.item(),
-            joint_translations=moving,
-        )
-    except MotionError as error:
-        raise FormatError(
-            f"keys 'rotations', 'translation', 'joint_translations', 'fps': {error}"
-        ) from None
+    moving = dict(by_joint("moving_joints", "joint_translations", places))
+    motion = Motion(
+        skeleton=skeleton,
+        rotations=archive.numbers("rotations"),
+        translation=archive.numbers("translation"),
+        fps=read_number(archive, "fps"),
+        joint_translations=moving,
+    )
     if pelvis is not None:
         (up,) = archive.texts("body_up") or ["y"]
         motion.info["up"] = up if up in UP_TO_Y else "y"
-    return with_expressions(motion, archive) if "expressions" in archive else motion
+    return with_expressions(motion, archive)
 
 
 def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
@@ -251,22 +254,8 @@ def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
     return values.tolist()
 
 
-def _by_joint(
-    archive: Archive, joints_key: str, key: str, values: Any, names: tuple[str, ...]
-) -> Iterator[tuple[str, Any]]:
-    """Yield (joint name, value); the array `joints_key` has the joint index of each value."""
-    joints = _indices(archive, joints_key, 0, len(names))
-    n_values = len(values) if np.ndim(values) else None
-    if n_values != len(joints):
-        count = "one number" if n_values is None else f"{n_values} entries"
-        raise FormatError(f"key {key!r} has {count}, but {joints_key!r} has {len(joints)}")
-    for joint, value in zip(joints, values):
-        yield names[joint], value
-
-
 _FORMAT = 1
 _LONGEST_HEADER = 1 << 22
-_MOST_JOINTS = 2000
 
 
 def frames_header(motion: Motion) -> bytes:
@@ -294,8 +283,8 @@ def read_frames(path: str | os.PathLike[str]) -> Motion:
             about = json.loads(line := file.readline(_LONGEST_HEADER))
             if (version := about["format"]) != _FORMAT:
                 raise FormatError(f"format {version!r}; this version of gesturekit reads {_FORMAT}")
-            if len(about["skeleton"]["names"]) > _MOST_JOINTS:
-                raise FormatError(f"over {_MOST_JOINTS} joints")
+            if len(about["skeleton"]["names"]) > _MAX_JOINTS:
+                raise FormatError(f"over {_MAX_JOINTS} joints")
             skeleton, moving = Skeleton.from_json(about["skeleton"]), list(about["moving"])
             ends = 3 + 4 * skeleton.n_joints
             width = ends + 3 * len(moving)

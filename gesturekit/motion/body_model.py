@@ -172,29 +172,25 @@ class BodyModel:
         shape = replace(shape, pelvis=tuple(joints[0]))
         return replace(skeleton, offsets=offsets, end_sites=ends, body_shape=shape)
 
-    def vertices(self, motion: Motion, indices: Sequence[int] | None = None) -> np.ndarray:
-        """(T, N, 3) world positions of vertices under a motion, metres, for its `body_shape`.
+    def vertices(self, motion: Motion) -> np.ndarray:
+        """(T, V, 3) world positions of vertices under a motion, metres, for its `body_shape`.
 
-        Only the requested ones are computed. Face expressions are not applied, and fingers turn
-        from the model's flat hand.
+        Face expressions are not applied, and fingers turn from the model's flat hand.
 
         Args:
             motion: on a rig with the model's joints; its own offsets do not matter.
-            indices: which vertices; all by default.
 
         Raises:
             MotionError: a rig with other joints.
         """
         rig, betas = self.rig(motion.skeleton), motion.skeleton.body_shape.betas
-        at = np.arange(self.n_vertices) if indices is None else np.asarray(indices)
-        rest = self.vertices_at_rest(betas, at)
-        joints = self.joints_at_rest(betas)
-        weights = self.weights[at].astype(np.float64)
+        rest, joints = self.vertices_at_rest(betas), self.joints_at_rest(betas)
+        weights = self.weights.astype(np.float64)
         corrections = None
         if self.pose_corrections is not None:
-            corrections = self.pose_corrections[at].reshape(len(at) * 3, -1).T
-        moved = np.empty((motion.n_frames, len(at), 3))
-        chunk = max(1, _CHUNK // (9 * max(len(at), self.n_joints)))
+            corrections = self.pose_corrections.reshape(3 * self.n_vertices, -1).T
+        moved = np.empty((motion.n_frames, self.n_vertices, 3))
+        chunk = max(1, _CHUNK // (9 * max(self.n_vertices, self.n_joints)))
         for start in range(0, motion.n_frames, chunk):
             part = slice(start, start + chunk)
             local = motion.rotations[part]
@@ -266,16 +262,13 @@ def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
         raise fail(f"f has shape {faces.shape} of {faces.dtype}")
     if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < n_vertices:
         raise fail(f"f names vertices that are not among {n_vertices}")
-    if feet is not None and not all(0 <= vertex < n_vertices for vertex in feet):
-        raise fail(f"foot vertices {list(feet)} are not among {n_vertices}")
-    if feet is not None and len(feet) != 6:
-        raise fail(f"{len(feet)} foot vertices, not six")
+    feet = FOOT_VERTICES.get(n_vertices) if feet is None else tuple(feet)
+    if feet and (len(feet) != 6 or not all(0 <= vertex < n_vertices for vertex in feet)):
+        raise fail(f"foot vertices {list(feet)} are not six of {n_vertices}")
     regressor = _regressor(archive, n_joints, n_vertices, fail)
     arrays = {"v_template": template, "weights": weights, "shapedirs": shapes}
-    arrays |= {"J_regressor": regressor}
-    arrays |= {} if corrections is None else {"posedirs": corrections}
-    for key, array in arrays.items():
-        if not np.isfinite(array).all():
+    for key, array in {**arrays, "J_regressor": regressor, "posedirs": corrections}.items():
+        if array is not None and not np.isfinite(array).all():
             raise fail(f"{key} holds numbers that are not finite")
     if (weights < 0).any() or (np.abs(weights.sum(axis=1) - 1) > _OFF_ONE).any():
         raise fail("weights of a vertex are negative, or do not sum to 1")
@@ -287,19 +280,18 @@ def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
         regressor=regressor,
         weights=weights,
         parents=_parents(archive, n_joints, fail),
-        feet=FOOT_VERTICES.get(n_vertices) if feet is None else tuple(feet),
+        feet=feet,
         source=str(archive.path),
     )
 
 
 def _parents(archive: Archive, n_joints: int, fail: Fail) -> tuple[int, ...]:
     table = archive.numbers("kintree_table")
-    if table.ndim == 2 and len(table):
-        table = table[0]
-    if not np.isfinite(table).all():
-        raise fail("kintree_table holds numbers that are not finite")
-    if table.shape != (n_joints,):
-        raise fail(f"kintree_table has shape {table.shape} for {n_joints} joints")
+    table = table[0] if table.ndim == 2 and len(table) else table
+    if table.shape != (n_joints,) or not np.isfinite(table).all():
+        raise fail(
+            f"kintree_table has shape {table.shape}, or is not finite, for {n_joints} joints"
+        )
     # The root's parent is -1, or what 2^32 wraps it to.
     parents = (-1, *(int(parent) for parent in table[1:]))
     if not all(0 <= parent < j for j, parent in enumerate(parents) if j):

@@ -74,7 +74,7 @@ def stacked(parts: Sequence[Motion]) -> Motion:
         rotations=np.concatenate([part.rotations for part in parts]),
         translation=np.concatenate([part.translation for part in parts]),
         joint_translations={
-            name: np.concatenate([_local(part, name) for part in parts]) for name in moving
+            name: np.concatenate([part.local_positions(name) for part in parts]) for name in moving
         },
         expressions=np.concatenate(faces) if alike else None,
         info=dict(first.info),
@@ -145,7 +145,7 @@ def eased(last: Motion, after: Motion, count: int) -> Motion:
         rotations=rotations,
         translation=decayed(last.translation, after.translation),
         joint_translations={
-            name: decayed(_local(last, name), _local(after, name)) for name in names
+            name: decayed(last.local_positions(name), after.local_positions(name)) for name in names
         },
     )
 
@@ -199,12 +199,6 @@ def with_root(motion: Motion, root: int, place: np.ndarray, world: np.ndarray) -
     local = rotate_vectors(back, place - motion.positions()[:, parent])
     moving = {**motion.joint_translations, motion.skeleton.names[root]: local}
     return replace(motion, rotations=rotations, joint_translations=moving)
-
-
-def _local(motion: Motion, name: str) -> np.ndarray:
-    """(T, 3) positions of a joint in its parent's frame, metres."""
-    rest = motion.skeleton.offsets[motion.skeleton.index(name)]
-    return motion.joint_translations.get(name, np.tile(rest, (motion.n_frames, 1)))
 
 
 def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:

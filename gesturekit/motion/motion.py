@@ -6,7 +6,7 @@ import math
 import os
 import stat
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -85,19 +85,13 @@ class Motion:
         for name, values in self.joint_translations.items():
             if self.skeleton.index(name) == 0:
                 raise MotionError(f"{name!r} is the root: its position is the motion's translation")
-            moving[name] = _positions(values, n_frames, f"translation of joint {name!r}")
-        fps = checked_fps(self.fps)
-        translation = _positions(self.translation, n_frames, "translation")
-        expressions = self.expressions
-        if expressions is not None:
-            expressions = _finite_frames(expressions, n_frames, "expressions")
-        for key, value in (
-            ("rotations", rotations),
-            ("translation", translation),
-            ("fps", fps),
-            ("joint_translations", moving),
-            ("expressions", expressions),
-        ):
+            moving[name] = _frames(values, n_frames, f"translation of joint {name!r}")
+        checked: dict[str, Any] = {"rotations": rotations, "joint_translations": moving}
+        checked["fps"] = checked_fps(self.fps)
+        checked["translation"] = _frames(self.translation, n_frames, "translation")
+        if self.expressions is not None:
+            checked["expressions"] = _frames(self.expressions, n_frames, "expressions", width=None)
+        for key, value in checked.items():
             object.__setattr__(self, key, value)
 
     def __repr__(self) -> str:
@@ -143,15 +137,7 @@ class Motion:
         if not len(range(*frames.indices(self.n_frames))):
             start, stop = ("" if at is None else at for at in (frames.start, frames.stop))
             raise MotionError(f"no frames in motion[{start}:{stop}]: it has {self.n_frames}")
-        return replace(
-            self,
-            rotations=self.rotations[frames],
-            translation=self.translation[frames],
-            fps=self.fps / step,
-            joint_translations={k: v[frames] for k, v in self.joint_translations.items()},
-            expressions=None if self.expressions is None else self.expressions[frames],
-            info=dict(self.info),
-        )
+        return self._changed(lambda values: values[frames], self.rotations[frames], self.fps / step)
 
     @property
     def duration(self) -> float:
@@ -178,6 +164,15 @@ class Motion:
         return kinematics.forward_kinematics(
             self.rotations, self.translation, self.skeleton, self.joint_translations
         )[:, which]
+
+    def local_positions(self, joint: str) -> np.ndarray:
+        """(T, 3) positions of a joint in its parent's frame, metres; constant if it stands still.
+
+        Raises:
+            MotionError: no such joint.
+        """
+        rest = self.skeleton.offsets[self.skeleton.index(joint)]
+        return self.joint_translations.get(joint, np.tile(rest, (self.n_frames, 1)))
 
     def end_positions(self) -> dict[str, np.ndarray]:
         """Return, for each joint with E end sites, their (T, E, 3) world positions, metres."""
@@ -222,14 +217,20 @@ class Motion:
         resampler = Resampler(
             self.n_frames, self.skeleton.n_joints, self.fps, fps, n_frames, antialias
         )
-        moving, face = self.joint_translations, self.expressions
+        return self._changed(resampler.values, resampler.rotations(self.rotations), resampler.fps)
+
+    def _changed(
+        self, change: Callable[[np.ndarray], np.ndarray], rotations: np.ndarray, fps: float
+    ) -> Motion:
+        """Return the motion of other frames; `change` makes values (T', D) of values (T, D)."""
+        face = self.expressions
         return replace(
             self,
-            rotations=resampler.rotations(self.rotations),
-            translation=resampler.values(self.translation),
-            fps=resampler.fps,
-            joint_translations={k: resampler.values(v) for k, v in moving.items()},
-            expressions=None if face is None else resampler.values(face),
+            rotations=rotations,
+            translation=change(self.translation),
+            fps=fps,
+            joint_translations={k: change(v) for k, v in self.joint_translations.items()},
+            expressions=None if face is None else change(face),
             info=dict(self.info),
         )
 
@@ -244,9 +245,7 @@ class Motion:
         Raises:
             MotionError: a rig with limbs whose left and right cannot be identified.
         """
-        return self._on_rig(
-            *mirror(self.skeleton, self.rotations, self.translation, self.joint_translations)
-        )
+        return self._on_rig(mirror)
 
     def keep(self, joints: Sequence[str] | str) -> Motion:
         """Return the motion without all other joints; kept ones stay where they are in the world.
@@ -264,28 +263,13 @@ class Motion:
         joints = [joints] if isinstance(joints, str) else joints
         if set(joints) == set(self.skeleton.names):
             return self
-        return self._on_rig(
-            *keep_joints(
-                self.skeleton, self.rotations, self.translation, self.joint_translations, joints
-            )
-        )
+        return self._on_rig(keep_joints, joints)
 
-    def _on_rig(
-        self,
-        skeleton: Skeleton,
-        rotations: np.ndarray,
-        translation: np.ndarray,
-        moving: Mapping[str, np.ndarray],
-    ) -> Motion:
-        """Return the motion with another rig and movement."""
-        return replace(
-            self,
-            skeleton=skeleton,
-            rotations=rotations,
-            translation=translation,
-            joint_translations=moving,
-            info=dict(self.info),
-        )
+    def _on_rig(self, change: Callable[..., tuple[Any, ...]], *arguments: Any) -> Motion:
+        """Return the motion with the rig and the movement that a function makes of its own."""
+        names = ("skeleton", "rotations", "translation", "joint_translations")
+        changed = change(*(getattr(self, name) for name in names), *arguments)
+        return replace(self, info=dict(self.info), **dict(zip(names, changed)))
 
     def scaled(self, factor: float) -> Motion:
         """Multiply all lengths by `factor`: skeleton, translation and joint translations.
@@ -412,21 +396,12 @@ def _refuse_special(path: Path) -> None:
         raise FormatError(f"{path}: not a regular file")
 
 
-def _positions(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:
-    """Return `values` as float64 of shape (n_frames, 3), or raise MotionError."""
+def _frames(values: Any, n_frames: int, name: str, width: int | None = 3) -> np.ndarray:
+    """Return `values` as finite float64 of shape (n_frames, width), or raise MotionError."""
     values = np.asarray(values, dtype=np.float64)
-    if values.shape != (n_frames, 3):
-        raise MotionError(
-            f"{name} has shape {values.shape}; {n_frames} frames need ({n_frames}, 3)"
-        )
-    return _finite_frames(values, n_frames, name)
-
-
-def _finite_frames(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:
-    """Return `values` as finite float64 of shape (n_frames, D), or raise MotionError."""
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 2 or len(values) != n_frames:
-        raise MotionError(f"{name} has shape {values.shape}; {n_frames} frames need as many rows")
+    if values.ndim != 2 or values.shape != (n_frames, width or values.shape[1]):
+        needed = (n_frames, width or "any number")
+        raise MotionError(f"{name} has shape {values.shape}; {n_frames} frames need {needed}")
     if not (near := np.abs(values) <= FARTHEST).all():
         frame, column = np.argwhere(~near)[0]
         value = f"{values[frame, column]:g} in column {column}"

@@ -273,7 +273,6 @@ def _shifted(motion: Motion, root: int, shift: np.ndarray, world: np.ndarray) ->
     if root == 0:
         return replace(motion, translation=motion.translation + shift)
     name, parent = motion.skeleton.names[root], motion.skeleton.parents[root]
-    still = np.tile(motion.skeleton.offsets[root], (motion.n_frames, 1))
-    position = motion.joint_translations.get(name, still)
-    position = position + rotate_vectors(invert_quaternions(world[:, parent]), shift)
+    shift = rotate_vectors(invert_quaternions(world[:, parent]), shift)
+    position = motion.local_positions(name) + shift
     return replace(motion, joint_translations={**motion.joint_translations, name: position})

@@ -53,16 +53,6 @@ class BodyShape:
         """Return the known attributes as JSON values."""
         return {name: value for name, value in asdict(self).items() if value not in (None, ())}
 
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> BodyShape:
-        """Return the inverse of `to_json`.
-
-        Raises:
-            MotionError: see the class.
-            TypeError: an unknown attribute.
-        """
-        return cls(**values)
-
 
 def _numbers(name: str, values: Any) -> np.ndarray:
     numbers = np.asarray(values, dtype=np.float64)
@@ -131,27 +121,19 @@ class Skeleton:
             raise MotionError(f"{len(orders)} rotation orders for {len(names)} joints")
         for name, order in zip(names, orders):
             if order not in ROTATION_ORDERS:
-                raise MotionError(
-                    f"rotation order {order!r} of joint {name!r}; "
-                    f"expected one of {', '.join(ROTATION_ORDERS)}"
-                )
+                known = ", ".join(ROTATION_ORDERS)
+                raise MotionError(f"rotation order {order!r} of joint {name!r}; expected {known}")
         ends, known = {}, set(names)
         for name, sites in self.end_sites.items():
             if name not in known:
                 raise MotionError(f"end site on {name!r}, which is not a joint of the skeleton")
             ends[name] = tuple(np.array(site, dtype=np.float64) for site in sites)
-            if any(
-                site.shape != (3,) or not (np.abs(site) <= FARTHEST).all() for site in ends[name]
-            ):
-                raise MotionError(f"an end site of joint {name!r} is not three finite numbers")
-        for key, value in (
-            ("names", names),
-            ("parents", parents),
-            ("offsets", offsets),
-            ("end_sites", ends),
-            ("rotation_orders", orders),
-            ("parts", dict(self.parts)),
-        ):
+            for site in ends[name]:
+                if site.shape != (3,) or not (np.abs(site) <= FARTHEST).all():
+                    raise MotionError(f"an end site of joint {name!r} is not three finite numbers")
+        checked = {"names": names, "parents": parents, "offsets": offsets, "end_sites": ends}
+        checked |= {"rotation_orders": orders, "parts": dict(self.parts)}
+        for key, value in checked.items():
             object.__setattr__(self, key, value)
         for part, name in self.parts.items():
             try:
@@ -277,7 +259,7 @@ class Skeleton:
                 end_sites={k: tuple(v) for k, v in values.get("end_sites", {}).items()},
                 rotation_orders=tuple(values.get("rotation_orders", ())),
                 parts=dict(values.get("parts", {})),
-                body_shape=BodyShape.from_json(values.get("body_shape", {})),
+                body_shape=BodyShape(**values.get("body_shape", {})),
             )
         except KeyError as error:
             raise MotionError(f"the skeleton lacks the field {error}") from None

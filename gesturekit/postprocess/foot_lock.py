@@ -16,7 +16,8 @@ Frames without contact do not change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -86,8 +87,7 @@ def lock_feet(
     return _FootLock(motion, contacts).locked(keep_path)
 
 
-@dataclass(eq=False)
-class _Goal:
+class _Goal(NamedTuple):
     """Correction of a foot in the world: (T, 3) movement of its ankle, (T, 4) rotation."""
 
     moved: np.ndarray
@@ -122,18 +122,17 @@ class _FootLock:
     def locked(self, keep_path: bool) -> Motion:
         """Return the corrected motion; see `lock_feet`."""
         stands = [self._stands(foot) for foot in self.feet]
-        if not any(mask.any() for foot in stands for mask, _ in foot):
+        either = [np.any([mask for mask, _ in foot], axis=0) for foot in stands]
+        standing = np.stack(either, axis=1)
+        if not standing.any():
             return self.whole
         shift = np.zeros((self.motion.n_frames, 3))
         if not keep_path:
-            standing = np.stack(
-                [np.any([mask for mask, _ in foot], axis=0) for foot in stands], axis=1
-            )
             left, right = (np.mean(self._places(foot), axis=0) for foot in self.feet)
             shift -= horizontal_drift(left, right, standing, self.fps)
-            heights = [self._height(foot, own) for foot, own in zip(self.feet, stands, strict=True)]
-            shift[:, 1] -= height_error(np.stack(heights, axis=1), standing, self.fps)
-        goals = [self._goal(foot, own, shift) for foot, own in zip(self.feet, stands, strict=True)]
+            heights = np.stack(list(map(self._height, self.feet, stands)), axis=1)
+            shift[:, 1] -= height_error(heights, standing, self.fps)
+        goals = [self._goal(*foot, shift) for foot in zip(self.feet, stands, strict=True)]
         shift[:, 1] -= self._hip_drop(goals, shift)
         return self._posed(goals, shift)
 
@@ -152,13 +151,13 @@ class _FootLock:
 
     def _stands(self, foot: Foot) -> list[tuple[np.ndarray, float]]:
         """Return, for heel and ball, a contact mask (T,) and the height of the floor, metres."""
-        found = []
+        stands = []
         for anchor, place in zip(foot.anchors, self._places(foot), strict=True):
             labels = None
             if self.labels is not None:
                 labels = self.labels[:, list(anchor.columns)].mean(axis=1)
-            found.append(contact_frames(place, self.fps, self.scale, labels))
-        return found
+            stands.append(contact_frames(place, self.fps, self.scale, labels))
+        return stands
 
     def _goal(self, foot: Foot, stands: list[tuple[np.ndarray, float]], shift: np.ndarray) -> _Goal:
         """Return the correction that keeps heel and ball in place while they stand.

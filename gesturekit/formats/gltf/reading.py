@@ -106,18 +106,20 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
     named = _named_joints(gltf, nodes)
     if not named:
         raise gltf.error("no skeleton in it: neither a skin nor an animated node")
-    inside = set(named)
+    inside, below = set(named), set(named)
     for node in nodes.order:
         if nodes.parents[node] in inside and not entries[node].keys() & {"mesh", "camera"}:
             inside.add(node)
-    inside = _closed(nodes, inside)
+        if nodes.parents[node] in below:
+            below.add(node)
+    inside = below & set(nodes.with_ancestors(list(inside)))  # also those between two of them
     trees = _trees(nodes, inside)
     root = max(trees, key=lambda node: len(trees[node]))
     above = nodes.parents[root]
     if above >= 0 and len(trees[root]) < _BODY * len(inside):
         beside = [node for node in trees if nodes.parents[node] == above]
         if len(beside) > 1:
-            trees[above] = [above, *(node for one in beside for node in trees.pop(one))]
+            trees[above] = [above, *(node for tree in beside for node in trees.pop(tree))]
             root = above
     tree = set(trees.pop(root))
     if trees:
@@ -156,15 +158,6 @@ def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
         if nodes.parents[node] in whole or not is_holder:
             whole.add(node)
     return whole
-
-
-def _closed(nodes: Nodes, joints: set[int]) -> set[int]:
-    """Return joints and the nodes that lie between two of them."""
-    below = set(joints)
-    for node in nodes.order:
-        if nodes.parents[node] in below:
-            below.add(node)
-    return below & set(nodes.with_ancestors(list(joints)))
 
 
 def _trees(nodes: Nodes, joints: set[int]) -> dict[int, list[int]]:

@@ -68,13 +68,13 @@ class Curve:
             (_, start, out), (into, end, _) = (
                 np.moveaxis(self.values[k], 1, 0) for k in (left, right)
             )
-            found = (
+            between = (
                 (2 * u**3 - 3 * u**2 + 1) * start
                 + (u**3 - 2 * u**2 + u) * dt * out
                 + (3 * u**2 - 2 * u**3) * end
                 + (u**3 - u**2) * dt * into
             )
-            return normalize_quaternions(found) if is_rotation else found
+            return normalize_quaternions(between) if is_rotation else between
         start, end = self.values[left], self.values[right]
         if self.interpolation == "STEP":
             return start
@@ -179,14 +179,13 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
     """
     entries, keys = gltf.items("animations"), _Keys(gltf)
     names = [str(entry.get("name", "")) for entry in entries]
-    shown = listed([one[:60] or str(k) for k, one in enumerate(names, start=1)], _SHOWN)
+    numbers = list(map(str, range(1, len(names) + 1)))
+    labels = [label[:60] or number for label, number in zip(names, numbers)]
+    shown = listed(labels, _SHOWN)
     if name is not None:
-        if name in names:
-            chosen = names.index(name)
-        elif name.isdecimal() and 0 < int(name) <= len(names):
-            chosen = int(name) - 1
-        else:
+        if name not in (*names, *numbers):
             raise FormatError(f"{gltf.path}: no animation {name!r}; it has {shown or 'none'}")
+        chosen = (names if name in names else numbers).index(name)
         return keys.animation(entries[chosen], nodes)
     seconds = {k: keys.seconds(entry, nodes) for k, entry in enumerate(entries)}
     if moving := {k: end for k, end in seconds.items() if end is not None}:
@@ -194,7 +193,7 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
         if len(moving) > 1:
             warnings.warn(
                 f"{gltf.path}: of its animations ({shown}), the longest is read, "
-                f"{names[longest][:60] or longest + 1}; --animation NAME chooses",
+                f"{labels[longest]}; --animation NAME chooses",
                 stacklevel=3,
             )
         return keys.animation(entries[longest], nodes)
@@ -214,7 +213,8 @@ class _Keys:
 
     def animation(self, entry: dict[str, Any], nodes: set[int]) -> Animation:
         """Return an animation with the curves of some nodes."""
-        curves = {key: self._curve(one, key[1]) for key, one in self._samplers(entry, nodes)}
+        samplers = self._samplers(entry, nodes)
+        curves = {key: self._curve(sampler, key[1]) for key, sampler in samplers}
         rate = self._gltf.object(entry, "extras").get("fps", 0)
         right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
         return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
@@ -243,12 +243,12 @@ class _Keys:
     def _at(self, sampler: dict[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the times (K,) of a sampler in order, and the order unless it is that in file."""
         index = sampler.get("input")
-        found = self._gltf.array(index, "times", 1)[:, 0]
+        stored = self._gltf.array(index, "times", 1)[:, 0]
         if index not in self._times:
-            if not len(found):
+            if not len(stored):
                 raise self._gltf.error("an animation has 0 times")
-            self._gltf.spend("times", decoded=8 * len(found), work=len(found))
-            times, order = found.astype(float), None
+            self._gltf.spend("times", decoded=8 * len(stored), work=len(stored))
+            times, order = stored.astype(float), None
             if (np.diff(times) < 0).any():
                 order = np.argsort(times, kind="stable")
                 times = times[order]
@@ -260,13 +260,13 @@ class _Keys:
         if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
             raise gltf.error(f"the interpolation {str(how)[:40]!r} is not known")
         times, order = self._at(sampler)
-        found = gltf.array(sampler.get("output"), path, _WIDTHS[path])
+        stored = gltf.array(sampler.get("output"), path, _WIDTHS[path])
         key = sampler["input"], sampler["output"], path, how
         if key not in self._curves:
             each = 3 if how == "CUBICSPLINE" else 1
-            if len(found) < each * len(times):
-                raise gltf.error(f"{len(found)} values of {path} for {len(times)} times")
-            values = found[: each * len(times)]
+            if len(stored) < each * len(times):
+                raise gltf.error(f"{len(stored)} values of {path} for {len(times)} times")
+            values = stored[: each * len(times)]
             gltf.spend(f"keys of {path}", decoded=8 * values.size, work=values.size)
             values = values.astype(float, copy=False)
             if each == 3:
@@ -322,8 +322,7 @@ class Nodes:
         if any(depth > _DEEPEST for depth in self.depth):
             raise gltf.error(f"over {_DEEPEST} nodes above one another")
         self._gltf = gltf
-        found = [np.concatenate(self._local(node)) for node in nodes]
-        rest = np.array(found).reshape(len(nodes), 10)
+        rest = np.array([np.concatenate(self._local(node)) for node in nodes]).reshape(-1, 10)
         self.rest = {
             "translation": rest[:, :3],
             "rotation": rest[:, 3:7],
@@ -349,19 +348,17 @@ class Nodes:
 
     def with_ancestors(self, nodes: list[int]) -> list[int]:
         """Return nodes and all above them, parents first."""
-        found = set(nodes)
+        needed = set(nodes)
         for node in nodes:
-            while (node := self.parents[node]) >= 0 and node not in found:
-                found.add(node)
-        return [node for node in self.order if node in found]
+            while (node := self.parents[node]) >= 0 and node not in needed:
+                needed.add(node)
+        return [node for node in self.order if node in needed]
 
     def matrices(self) -> np.ndarray:
         """Return the transforms (N, 4, 4) from each node to the world at rest."""
-        everything = list(range(len(self.parents)))
         places, _, linear = self._block(self.order, {}, AT_REST)
-        back = np.argsort(self.order)
-        world = np.tile(np.eye(4), (len(everything), 1, 1))
-        world[:, :3, :3], world[:, :3, 3] = linear[0, back], places[0, back]
+        world = np.tile(np.eye(4), (len(self.order), 1, 1))
+        world[self.order, :3, :3], world[self.order, :3, 3] = linear[0], places[0]
         return world
 
     def world(
