@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,10 @@ def plausibility_warnings(motion: Motion, reading: Mapping[str, Any]) -> list[st
     if len(bones) and not bones.any():
         return [*found, "all bones have length 0: there is no body to see or to measure"]
     named = [name for name in ("unit", "height") if name in reading]
-    if named and (height := _height(motion)) and not SMALLEST <= height <= TALLEST:
-        option = {"unit": "--in-unit", "height": "--height"}[named[-1]]
-        found.append(f"{option} {reading[named[-1]]} makes the body {height:.2f} m tall")
+    with suppress(MotionError):  # a rig without height
+        if named and not SMALLEST <= (height := body_height(motion.skeleton)) <= TALLEST:
+            option = {"unit": "--in-unit", "height": "--height"}[named[-1]]
+            found.append(f"{option} {reading[named[-1]]} makes the body {height:.2f} m tall")
     if "up" in reading and standing_axis(motion) not in (None, "y"):
         found.append(
             f"--in-up {reading['up']} lays the body down; without it the file's own axis is found"
@@ -75,13 +77,6 @@ def _toes_point_backwards(motion: Motion) -> bool:
     along = (feet * forward).sum(axis=-1)
     lengths = np.linalg.norm(feet, axis=-1) * np.linalg.norm(forward, axis=-1)
     return bool((along.mean(axis=0) < -0.5 * lengths.mean(axis=0)).all())
-
-
-def _height(motion: Motion) -> float | None:
-    try:
-        return body_height(motion.skeleton)
-    except MotionError:
-        return None
 
 
 def _rate(motion: Motion) -> str:

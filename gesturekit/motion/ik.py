@@ -36,7 +36,6 @@ def two_bone_ik(
     above: np.ndarray,
     *,
     pole: np.ndarray | None = None,
-    softness: float = SOFTNESS,
     hinge: bool = False,
 ) -> np.ndarray:
     """Rotate a limb of two bones so that its end reaches a target.
@@ -49,7 +48,6 @@ def two_bone_ik(
             that of the first joint itself unless helper joints lie between.
         pole: (..., 3) direction, world, into which a straight limb bends. By default the mean
             direction of the middle joint over all frames, as the first joint sees it.
-        softness: share of the limb's length over which its extension is compressed.
         hinge: bend towards the pole only. A limb bent the other way, such as a nearly straight
             knee with noise, is bent towards the pole by the same amount, so that it never flips.
 
@@ -62,7 +60,7 @@ def two_bone_ik(
     a, b = _length(first), _length(second)
     now, wanted = _length(end - start), _length(target - start)
     along, toward = _unit(end - start), _unit(target - start)
-    new = np.maximum(reachable(wanted, a + b, now, softness), np.abs(a - b))
+    new = np.maximum(reachable(wanted, a + b, now), np.abs(a - b))
     bend = first - _dot(first, along) * along
     if pole is None:
         pole = _mean_pole(bend, multiply_quaternions(above[..., 0, :], rotations[..., 0, :]))

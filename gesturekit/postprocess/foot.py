@@ -57,6 +57,12 @@ class Foot:
     sole: tuple[tuple[int, np.ndarray], ...]
     n_toes: int
 
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """All joints of the leg that move, or that carry a point of the sole."""
+        moving = [*self.limb, self.toe, *(joint for joint, _ in self.sole)]
+        return tuple(sorted({joint for joint in moving if joint is not None}))
+
     def renumbered(self, index: Mapping[int, int]) -> Foot:
         """Return the foot with other joint indices: {old index: new index}."""
         return replace(
@@ -101,8 +107,7 @@ def feet_of_legs(skeleton: Skeleton) -> tuple[list[int], list[Foot]]:
         MotionError: as `find_feet`.
     """
     feet = find_feet(skeleton)
-    legs = {joint for foot in feet for joint, _ in foot.sole}
-    legs |= {joint for foot in feet for joint in (*foot.limb, foot.toe) if joint is not None}
+    legs = {joint for foot in feet for joint in foot.joints}
     kept = sorted(legs.union(*map(skeleton.ancestors, legs)))
     index = {joint: place for place, joint in enumerate(kept)}
     return kept, [foot.renumbered(index) for foot in feet]

@@ -54,11 +54,11 @@ def _right_names(name: str) -> Iterable[str]:
 
 def named_side(name: str) -> str:
     """Return the side in a single name, "left" or "right"; "" if it has none."""
-    found = {side for side in SIDES if side in name.lower()}
-    if not found:
+    sides = {side for side in SIDES if side in name.lower()}
+    if not sides:
         letters = (match[0].lower() for match in _SIDE_LETTER.finditer(name))
-        found = {SIDES["lr".index(letter)] for letter in letters}
-    return found.pop() if len(found) == 1 else ""
+        sides = {SIDES["lr".index(letter)] for letter in letters}
+    return sides.pop() if len(sides) == 1 else ""
 
 
 def bare_name(name: str, side: str) -> str:
@@ -104,6 +104,14 @@ class Limbs:
     pairs: tuple[tuple[int, int], ...]
 
 
+def _rest_places(skeleton: Skeleton) -> np.ndarray:
+    """(J, 3) positions of the joints at rest, the root at the origin."""
+    places = skeleton.offsets.copy()
+    for j, above in enumerate(skeleton.parents):
+        places[j] = places[j] + places[above] if above >= 0 else 0.0
+    return places
+
+
 def find_limbs(skeleton: Skeleton) -> Limbs:
     """Find arms and legs by shape.
 
@@ -119,9 +127,7 @@ class _Shape:
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
         self.bone = np.linalg.norm(skeleton.offsets, axis=1)
-        self.place = skeleton.offsets.copy()
-        for j, above in enumerate(skeleton.parents):
-            self.place[j] = skeleton.offsets[j] + self.place[above] if above >= 0 else 0.0
+        self.place = _rest_places(skeleton)
         # Longest path from each joint down to a leaf, end sites included.
         sites = skeleton.end_sites
         self.tip = np.array(
@@ -175,27 +181,24 @@ class _Shape:
         whole = self.reach[0] + max(
             (self.bone[j] + self.reach[j] for j in self.skeleton.children(0)), default=0.0
         )
-        found = []
+        forks = []
         for fork in range(self.skeleton.n_joints):
-            long = [
-                j
-                for j in self.skeleton.children(fork)
-                if self.bone[j] + self.reach[j] > _LONG * whole
-            ]
+            children = self.skeleton.children(fork)
+            long = [j for j in children if self.bone[j] + self.reach[j] > _LONG * whole]
             few = len(long) <= _MOST_LIMBS
             alike = [pair for pair in combinations(long, 2) if self._alike(*pair)] if few else []
             if not few or len(alike) > 1:
                 raise MotionError(f"more than two limbs of equal length on {self._name(fork)!r}")
-            found += [(fork, pair) for pair in alike]
-        return found
+            forks += [(fork, pair) for pair in alike]
+        return forks
 
     def _alike(self, a: int, b: int) -> bool:
         """Return whether two limbs have equal numbers of bones of equal lengths."""
-        for one, other in self._corresponding(a, b):
-            bones = self.bone[one], self.bone[other]
+        for left, right in self._corresponding(a, b):
+            bones = self.bone[left], self.bone[right]
             if abs(bones[0] - bones[1]) > _ALIKE * max(bones) + _ROUNDING * self.reach[0]:
                 return False
-            if len(self.skeleton.children(one)) != len(self.skeleton.children(other)):
+            if len(self.skeleton.children(left)) != len(self.skeleton.children(right)):
                 return False
         return True
 
@@ -214,10 +217,8 @@ class _Shape:
     def _chain(self, joint: int) -> list[int]:
         """Return the joints of a limb along its longest path."""
         chain = [joint]
-        while self.skeleton.children(chain[-1]):
-            chain.append(
-                max(self.skeleton.children(chain[-1]), key=lambda j: self.bone[j] + self.reach[j])
-            )
+        while below := self.skeleton.children(chain[-1]):
+            chain.append(max(below, key=lambda j: self.bone[j] + self.reach[j]))
         return chain
 
     def _two_bones(self, chains: list[list[int]]) -> int:
@@ -306,13 +307,12 @@ def check_limbs(skeleton: Skeleton, limbs: Mapping[str, int | None], guessed: bo
             names = [f"{side}_{part}" for part in chain if f"{side}_{part}" in known]
             for above, below in zip(names, names[1:]):
                 if known[above] not in skeleton.ancestors(known[below]):
-                    raise _wrong(
-                        skeleton, known, below, above, "the one does not hang on the other"
-                    )
+                    reason = "the one does not hang on the other"
+                    raise _wrong(skeleton, known, below, above, reason)
     for part, joint in known.items():
         for start in ("left_shoulder", "right_shoulder", "left_hip", "right_hip"):
-            own = part.split("_")[0] == start.split("_")[0]
-            if not own and known.get(start) in skeleton.ancestors(joint):
+            is_other_side = part.split("_")[0] != start.split("_")[0]
+            if is_other_side and known.get(start) in skeleton.ancestors(joint):
                 raise _wrong(skeleton, known, part, start, "the one hangs on the other")
     _check_lengths(skeleton, known)
     if guessed:
@@ -325,19 +325,12 @@ def _check_lengths(skeleton: Skeleton, known: Mapping[str, int]) -> None:
         whole = {}
         for side in SIDES:
             parts = [f"{side}_{part}" for part in chain if f"{side}_{part}" in known]
-            bones = [
-                bone_length(skeleton, known[above], known[below])
-                for above, below in zip(parts, parts[1:])
-            ]
+            joints = [known[part] for part in parts]
+            bones = [bone_length(skeleton, *bone) for bone in zip(joints, joints[1:])]
             whole[side] = sum(bones)
-            if len(bones) == 2 and min(bones) > 0 and max(bones) > _BONES_DIFFER * min(bones):
-                raise _wrong(
-                    skeleton,
-                    known,
-                    parts[1],
-                    parts[0],
-                    f"bones of {bones[0]:.2f} and {bones[1]:.2f} m",
-                )
+            if len(bones) == 2 and 0 < min(bones) < max(bones) / _BONES_DIFFER:
+                reason = f"bones of {bones[0]:.2f} and {bones[1]:.2f} m"
+                raise _wrong(skeleton, known, parts[1], parts[0], reason)
         if min(whole.values()) > 0 and max(whole.values()) > _SIDES_DIFFER * min(whole.values()):
             raise MotionError(
                 f"the left {name} would be {whole['left']:.2f} m long, the right one "
@@ -350,9 +343,7 @@ def _check_sides(skeleton: Skeleton, known: Mapping[str, int]) -> None:
     """Raise MotionError if the toes of a rig that stands at rest contradict left and right."""
     if "left_hip" not in known:
         return
-    places = skeleton.offsets.copy()
-    for j, above in enumerate(skeleton.parents):
-        places[j] = places[j] + places[above] if above >= 0 else 0.0
+    places = _rest_places(skeleton)
     at = {part: places[joint] for part, joint in known.items()}
     hips = at["left_hip"] - at["right_hip"]
     trunk = at["left_shoulder"] + at["right_shoulder"] - at["left_hip"] - at["right_hip"]

@@ -201,22 +201,13 @@ class _Builder:
             self._arm(side, outward)
             if self.parts.legs:
                 self._leg(side)
-        from_anatomical = {
-            segment: multiply_quaternions(
-                invert_quaternions(self.world[joint]), self.frames[segment]
-            )
+        back = invert_quaternions(self.world)
+        frames = {
+            segment: multiply_quaternions(back[joint], self.frames[segment])
             for segment, joint in self.joints.items()
         }
-        return BodyFrames(
-            self.skeleton,
-            self.parts,
-            self.pose,
-            self.joints,
-            from_anatomical,
-            self.bones,
-            self.toes,
-            self.hands,
-        )
+        rig = self.skeleton, self.parts, self.pose
+        return BodyFrames(*rig, self.joints, frames, self.bones, self.toes, self.hands)
 
     def _add(self, segment: str, joint: str | int, turn: np.ndarray) -> None:
         self.joints[segment] = joint if isinstance(joint, int) else self.skeleton.index(joint)
@@ -245,8 +236,7 @@ class _Builder:
 
     def _direction(self, joint: int, below: int) -> np.ndarray:
         """(3,) world direction of the bone between two joints."""
-        bone = self.places[below] - self.places[joint]
-        return bone / max(np.linalg.norm(bone), 1e-9)
+        return _unit(self.places[below] - self.places[joint])
 
     def _aligned(self, turn: np.ndarray, drawn: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(4,) `turn` rotated the shortest way so that `drawn` (3,) points along `direction`.
@@ -265,11 +255,8 @@ class _Builder:
         if arm.wrist is None:
             elbow = self.skeleton.index(arm.elbow)
             end = self._end(elbow)
-            if np.linalg.norm(end) > _NO_END * self.scale:
-                back = invert_quaternions(self.world[elbow])
-                self.hands[side] = (elbow, rotate_vectors(back, end))
-            direction = end / max(np.linalg.norm(end), 1e-9)
-            self._add(f"{side}_elbow", arm.elbow, self._aligned(self.body, outward, direction))
+            self._mark(self.hands, side, elbow, end)
+            self._add(f"{side}_elbow", elbow, self._aligned(self.body, outward, _unit(end)))
             return
         self._limb(f"{side}_elbow", arm.elbow, arm.wrist, outward)
         self._hand(side, arm.wrist, outward)
@@ -289,8 +276,7 @@ class _Builder:
                 palm = np.cross(thumbward, fingers * outward[0])
                 hand = frame(palm, fingers * outward[0])
         if hand is None:
-            end = self._end(wrist)
-            hand = self._aligned(forearm, outward, end / max(np.linalg.norm(end), 1e-9))
+            hand = self._aligned(forearm, outward, _unit(self._end(wrist)))
         self._add(f"{side}_wrist", wrist, hand)
         for kind, chain in chains.items():
             for k, joint in enumerate(chain):
@@ -307,6 +293,13 @@ class _Builder:
         ends += [self.places[j] - self.places[joint] for j in self.skeleton.children(joint)]
         return max(ends, key=np.linalg.norm, default=np.zeros(3))
 
+    def _mark(
+        self, ends: dict[str, tuple[int, np.ndarray]], side: str, joint: int, end: np.ndarray
+    ) -> None:
+        """Note a limb's end, (3,) in the world from its last joint, unless it is too near."""
+        if np.linalg.norm(end) > _NO_END * self.scale:
+            ends[side] = (joint, rotate_vectors(invert_quaternions(self.world[joint]), end))
+
     def _leg(self, side: str) -> None:
         leg = self.parts.legs[side]
         self._limb(f"{side}_hip", leg.hip, leg.knee, -UP)
@@ -318,9 +311,7 @@ class _Builder:
             bone = self.places[toe] - self.places[ankle]
         else:
             bone = self._end(ankle)
-            if np.linalg.norm(bone) > _NO_END * self.scale:
-                back = invert_quaternions(self.world[ankle])
-                self.toes[side] = (ankle, rotate_vectors(back, bone))
+            self._mark(self.toes, side, ankle, bone)
         level = self._level(bone)
         foot = self._pitched(level, bone)
         self._add(f"{side}_ankle", ankle, foot)
@@ -345,6 +336,10 @@ class _Builder:
         lift = (_USUAL_PITCH - pitch) / 2
         about_x = np.array([-np.sin(lift), 0.0, 0.0, np.cos(lift)])
         return multiply_quaternions(level, about_x)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / max(np.linalg.norm(vector), 1e-9)
 
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")

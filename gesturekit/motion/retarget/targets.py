@@ -108,19 +108,17 @@ class FootMotion:
         Returns:
             Side to the heights of the source and of the target.
         """
-        found = {}
+        heights = {}
         for side in SIDES:
-            own = source.foot_heights(side)
-            if self.standing[side].sum() >= _FEWEST_STANDING:
-                still = self.standing[side]
+            ankle, toe = source.foot_heights(side)
+            if (still := self.standing[side]).sum() >= _FEWEST_STANDING:
                 ankle, toe = (
                     float(np.median(points[side][still, 1])) - self.floor
                     for points in (self.ankles, self.toes)
                 )
-                own = ankle, toe
-            scaled = own[0] * scale, own[1] * scale
-            found[side] = own, scaled if same else target.foot_heights(side)
-        return found
+            scaled = ankle * scale, toe * scale
+            heights[side] = (ankle, toe), scaled if same else target.foot_heights(side)
+        return heights
 
 
 @dataclass(frozen=True, eq=False)
