@@ -10,10 +10,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import require_legs
 from gesturekit.motion.rotations import (
@@ -23,6 +26,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
+from gesturekit.motion.skeleton import Skeleton
 
 SOFTNESS = 0.03
 """Last share of the limb's length over which its extension is compressed."""
@@ -152,6 +156,62 @@ def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.maximum(_length(v), _TINY)
 
 
+class Reach(NamedTuple):
+    """A limb of two bones whose end is to be at a place.
+
+    Attributes:
+        bones: its first two joints.
+        end: the joint at its end; None for a limb that ends without one.
+        places: (T, 3, 3) world positions of its joints and its end, metres.
+        target: (T, 3) world position for its end, metres.
+        turn: (T, 4) world rotation for the joint at its end.
+        pole: (T, 3) direction into which it bends if it is straight; see `two_bone_ik`.
+    """
+
+    bones: list[int]
+    end: int | None
+    places: np.ndarray
+    target: np.ndarray
+    turn: np.ndarray | None
+    pole: np.ndarray | None = None
+
+
+def bend_limbs(
+    skeleton: Skeleton,
+    rotations: np.ndarray,
+    world: np.ndarray,
+    limbs: Sequence[Reach],
+    *,
+    hinge: bool = False,
+) -> np.ndarray:
+    """(T, J, 4) local rotations with the ends of limbs at their targets, turned as requested.
+
+    Args:
+        skeleton: J joints.
+        rotations: (T, J, 4) local rotations.
+        world: (T, J, 4) their world rotations.
+        limbs: which share no joints.
+        hinge: see `two_bone_ik`.
+    """
+    rotations = rotations.copy()
+    for limb in limbs:
+        above = world[:, [skeleton.parents[j] for j in limb.bones]]
+        rotations[:, limb.bones] = two_bone_ik(
+            limb.places,
+            limb.target,
+            rotations[:, limb.bones],
+            above,
+            pole=limb.pole,
+            hinge=hinge,
+        )
+    bent = global_rotations(rotations, skeleton)
+    for limb in limbs:
+        if limb.end is not None and limb.turn is not None:
+            back = invert_quaternions(bent[:, skeleton.parents[limb.end]])
+            rotations[:, limb.end] = multiply_quaternions(back, limb.turn)
+    return rotations
+
+
 def reach_feet(motion: Motion, ankles: np.ndarray, turns: np.ndarray) -> Motion:
     """Bend the legs so that the ankles are at given places, and turn the feet.
 
@@ -162,20 +222,11 @@ def reach_feet(motion: Motion, ankles: np.ndarray, turns: np.ndarray) -> Motion:
         ankles: (T, 2, 3) world positions of the left and the right ankle, metres.
         turns: (T, 2, 4) world rotations of the ankle joints.
     """
-    rig, rotations = motion.skeleton, motion.rotations.copy()
-    legs = require_legs(rig).values()
-    positions, world = motion.positions(), motion.global_rotations()
-    for k, leg in enumerate(legs):
-        hip, knee, ankle = (rig.index(name) for name in (leg.hip, leg.knee, leg.ankle))
-        rotations[:, [hip, knee]] = two_bone_ik(
-            positions[:, [hip, knee, ankle]],
-            ankles[:, k],
-            rotations[:, [hip, knee]],
-            world[:, [rig.parents[hip], rig.parents[knee]]],
-        )
-    reached = replace(motion, rotations=rotations).global_rotations()
-    for k, leg in enumerate(legs):
-        ankle = rig.index(leg.ankle)
-        back = invert_quaternions(reached[:, rig.parents[ankle]])
-        rotations[:, ankle] = multiply_quaternions(back, turns[:, k])
+    rig, positions = motion.skeleton, motion.positions()
+    limbs = []
+    for k, leg in enumerate(require_legs(rig).values()):
+        joints = [rig.index(name) for name in (leg.hip, leg.knee, leg.ankle)]
+        places = positions[:, joints]
+        limbs.append(Reach(joints[:2], joints[2], places, ankles[:, k], turns[:, k]))
+    rotations = bend_limbs(rig, motion.rotations, motion.global_rotations(), limbs)
     return replace(motion, rotations=rotations)

@@ -303,9 +303,8 @@ def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
     if parents[0] != -1:
         raise MotionError(f"the first joint, {names[0]!r}, must be the root (parent -1)")
     for j, parent in enumerate(parents[1:], start=1):
-        if parent == -1:
-            raise MotionError(f"a second root, {names[j]!r}; a skeleton has one ({names[0]!r})")
         if not 0 <= parent < j:
             raise MotionError(
-                f"joint {names[j]!r} (index {j}) has parent {parent}; parents come before children"
+                f"joint {names[j]!r} (index {j}) has parent {parent}; the only root is "
+                f"{names[0]!r}, and parents come before children"
             )

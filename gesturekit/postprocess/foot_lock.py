@@ -23,7 +23,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.ik import reachable, two_bone_ik
+from gesturekit.motion.ik import Reach, bend_limbs, reachable
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
@@ -256,31 +256,27 @@ class _FootLock:
 
     def _posed(self, goals: list[_Goal], shift: np.ndarray) -> Motion:
         """Return the motion with legs solved for the goals and hips moved by `shift` (T, 3)."""
-        motion, skeleton = self.motion, self.skeleton
-        rotations = motion.rotations.copy()
+        skeleton, limbs = self.skeleton, []
         changed = np.linalg.norm(shift, axis=1) > self.nothing
         for goal in goals:
             changed |= np.linalg.norm(goal.moved, axis=1) > self.nothing
             changed |= np.linalg.norm(goal.turn[:, :3], axis=1) > _NOTHING
+        # Ankles and toes keep their world rotations, turned with the foot.
         for foot, goal in zip(self.feet, goals, strict=True):
-            bones = [foot.hip, foot.knee]
-            rotations[:, bones] = two_bone_ik(
-                self.positions[:, foot.limb] + shift[:, None],
-                self.positions[:, foot.ankle] + goal.moved,
-                rotations[:, bones],
-                self.world[:, [skeleton.parents[j] for j in bones]],
-                hinge=True,
-            )
-        # Restore the world rotations of ankles and toes, turned with the foot.
-        world = global_rotations(rotations, skeleton)
-        for foot, goal in zip(self.feet, goals, strict=True):
-            self._turn(rotations, world, foot.ankle, goal.turn)
+            places = self.positions[:, foot.limb]
+            turn = multiply_quaternions(goal.turn, self.world[:, foot.ankle])
+            target = places[:, 2] + goal.moved
+            places = places + shift[:, None]
+            limbs.append(Reach([foot.hip, foot.knee], foot.ankle, places, target, turn))
+        rotations = bend_limbs(skeleton, self.motion.rotations, self.world, limbs, hinge=True)
         world = global_rotations(rotations, skeleton)
         for foot, goal in zip(self.feet, goals, strict=True):
             if foot.toe is not None:
-                self._turn(rotations, world, foot.toe, _yaw(goal.turn))
+                back = invert_quaternions(world[:, skeleton.parents[foot.toe]])
+                turn = multiply_quaternions(_yaw(goal.turn), self.world[:, foot.toe])
+                rotations[:, foot.toe] = multiply_quaternions(back, turn)
         locked = self.whole.rotations.copy()
-        locked[:, self.kept] = np.where(changed[:, None, None], rotations, motion.rotations)
+        locked[:, self.kept] = np.where(changed[:, None, None], rotations, self.motion.rotations)
         return self._shifted(replace(self.whole, rotations=locked), shift)
 
     def _shifted(self, motion: Motion, shift: np.ndarray) -> Motion:
@@ -294,16 +290,6 @@ class _FootLock:
                 moving[skeleton.names[j]] = moving[skeleton.names[j]] + rotate_vectors(back, shift)
                 return replace(motion, joint_translations=moving)
         return replace(motion, translation=motion.translation + shift)
-
-    def _turn(self, rotations: np.ndarray, world: np.ndarray, joint: int, turn: np.ndarray) -> None:
-        """Set the local rotation that gives a joint its old world rotation turned by `turn` (T, 4).
-
-        `rotations` (T, J, 4), local, change in place; `world` (T, J, 4) are those of the joints
-        above.
-        """
-        back = invert_quaternions(world[:, self.skeleton.parents[joint]])
-        wanted = multiply_quaternions(turn, self.world[:, joint])
-        rotations[:, joint] = multiply_quaternions(back, wanted)
 
 
 def _above_noise(height: np.ndarray, noise: float) -> np.ndarray:

@@ -114,13 +114,12 @@ class Gltf:
         try:
             if path.exists() and not path.is_file():
                 raise self.error(f"{which}not a regular file")
-            if (size := path.stat().st_size) > MAX_BYTES:
-                raise self.error(
-                    f"{which}{size >> 20} MiB; files of up to {MAX_BYTES >> 20} are read"
-                )
-            if self.size + size > MAX_BYTES:
-                raise self.error(f"its files together have over {MAX_BYTES >> 20} MiB")
+            size = path.stat().st_size
             self.size += size
+            if self.size > MAX_BYTES:
+                raise self.error(
+                    f"{which}{size >> 20} MiB; up to {MAX_BYTES >> 20} MiB of files are read"
+                )
             self._decoded += _DECODED_PER_BYTE * size
             self._work += _WORK_PER_BYTE * size
             return path.read_bytes()
@@ -137,15 +136,15 @@ class Gltf:
         if sum(map(text.count, (b",", b"[", b"{"))) > _MAX_VALUES:
             raise self.error(f"its JSON part has over {_MAX_VALUES} values")
         try:
-            found = json.loads(text)
+            parsed = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise self.error(f"its JSON part cannot be read: {str(error)[:200]}") from None
-        if not isinstance(found, dict):
+        if not isinstance(parsed, dict):
             raise self.error("its JSON part is not an object")
-        version = self.object(found, "asset").get("version", "2.0")
+        version = self.object(parsed, "asset").get("version", "2.0")
         if not str(version).startswith("2."):
             raise self.error(f"glTF version {str(version)[:20]}; expected 2.0")
-        return found
+        return parsed
 
     def _json_chunk(self, content: bytes) -> bytes:
         if len(content) < 20 or content[:4] != b"glTF":
@@ -277,14 +276,14 @@ class Gltf:
         accessors = self.items("accessors")
         at = self.whole(index, len(accessors), f"accessor of {what}")
         if at not in self._arrays:
-            found = self._read(accessors[at], what)
-            if found.dtype.kind == "f" and not (np.abs(found) <= FARTHEST).all():
+            numbers = self._read(accessors[at], what)
+            if numbers.dtype.kind == "f" and not (np.abs(numbers) <= FARTHEST).all():
                 raise self.error(f"{what} holds numbers that are not finite, or over {FARTHEST:g}")
-            self._arrays[at] = found
-        found = self._arrays[at]
-        if found.shape[1] != width:
-            raise self.error(f"{what} has {found.shape[1]} numbers an element; expected {width}")
-        return found
+            self._arrays[at] = numbers
+        numbers = self._arrays[at]
+        if numbers.shape[1] != width:
+            raise self.error(f"{what} has {numbers.shape[1]} numbers an element; expected {width}")
+        return numbers
 
     def _read(self, accessor: dict[str, Any], what: str) -> np.ndarray:
         kind, component = accessor.get("type"), accessor.get("componentType")

@@ -220,22 +220,19 @@ class PartFinder:
         trunk = {chest, *skeleton.ancestors(chest)}
         # Forearms are about as long as upper arms, but may lack a wrist.
         arm = sum(bone_length(skeleton, *bone) for bone in zip(shoulders, elbows))
-        heads = [j for j, b in enumerate(self.bare) if not self.side[j] and b.endswith(_HEAD)]
-        others = {*elbows, *heads, self.by_hand.get("head")}
-        found = []
+        others = {*elbows, *self._named_heads(), self.by_hand.get("head")}
+        legs = []
         for above in trunk:
             for j in set(skeleton.children(above)) - trunk:
-                if skeleton.is_leaf(j):
-                    continue
                 length = _reach(skeleton, j) - _STUB * arm
-                if above != chest:
-                    is_long = length >= 0
-                else:
-                    is_long = length > _STUB * arm and others.isdisjoint(
-                        (j, *skeleton.descendants(j))
-                    )
-                found += [j] * is_long
-        return sorted(found)
+                is_long = length >= 0 if above != chest else length > _STUB * arm
+                is_other = above == chest and not others.isdisjoint((j, *skeleton.descendants(j)))
+                if is_long and not is_other and not skeleton.is_leaf(j):
+                    legs.append(j)
+        return sorted(legs)
+
+    def _named_heads(self) -> list[int]:
+        return [j for j, b in enumerate(self.bare) if not self.side[j] and b.endswith(_HEAD)]
 
     def _lowest_of_trunk(self, chest: int) -> int:
         """Return the pelvis of a rig without legs: by name, or the root."""
@@ -260,8 +257,7 @@ class PartFinder:
         chest = self._meeting(hanging[0], hanging[-1]) if hanging else None
         way = [] if pelvis is None or chest is None else self._way_down(pelvis, chest)
         self.pelvis, self.spine, self.neck = pelvis, way[1:], []
-        named = [j for j, bare in enumerate(self.bare) if not side[j] and bare.endswith(_HEAD)]
-        nearest = min(named, key=lambda j: self.skeleton.depth[j], default=None)
+        nearest = min(self._named_heads(), key=lambda j: self.skeleton.depth[j], default=None)
         self.head = self.by_hand.get("head", nearest)
         if self.head is not None and chest is not None:
             self.neck = self._way_down(chest, self.head)[1:-1]
@@ -362,12 +358,9 @@ class PartFinder:
 
     def _head(self, chest: int, shape: Limbs | None) -> int | None:
         """Return the head: specified by hand, or by name, shape or position above the chest."""
-        in_limbs = {
-            below
-            for part in ("left_clavicle", "right_clavicle", "left_shoulder", "right_shoulder")
-            if (joint := self.limbs[part]) is not None
-            for below in (joint, *self.skeleton.descendants(joint))
-        }
+        starts = [self.limbs[f"{side}_{part}"] for side in SIDES for part in ARM[:2]]
+        arms = [joint for joint in starts if joint is not None]
+        in_limbs = {*arms, *(below for j in arms for below in self.skeleton.descendants(j))}
         by_hand = self.by_hand.get("head")
         if by_hand is not None:
             if by_hand in in_limbs or chest not in self.skeleton.ancestors(by_hand):

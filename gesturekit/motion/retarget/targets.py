@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.motion.contacts import CONTACT_SPEED
-from gesturekit.motion.ik import two_bone_ik
+from gesturekit.motion.ik import Reach, bend_limbs
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
@@ -229,27 +229,16 @@ class FootTargets:
             positions: (T, J, 3) their positions, the root at the origin.
             hips: (T, 3) target midpoint between the hips.
         """
-        skeleton = self.target.skeleton
-        rotations = rotations.copy()
         positions = positions + (hips - self.hip_centre(positions))[:, None]
+        limbs = []
         for side in SIDES:
-            hip, knee, _ = limb = [
-                self.target.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")
-            ]
-            own = multiply_quaternions(world[:, hip], self.target.from_anatomical[f"{side}_hip"])
-            rotations[:, [hip, knee]] = two_bone_ik(
-                positions[:, limb],
-                self.ankle(side, world),
-                rotations[:, [hip, knee]],
-                world[:, [skeleton.parents[hip], skeleton.parents[knee]]],
-                pole=rotate_vectors(own, np.broadcast_to(FORWARD, (len(own), 3))),
-            )
-        now = global_rotations(rotations, skeleton)
-        for side in SIDES:
-            ankle = self.target.joints[f"{side}_ankle"]
-            back = invert_quaternions(now[:, skeleton.parents[ankle]])
-            rotations[:, ankle] = multiply_quaternions(back, world[:, ankle])
-        return rotations
+            joints = [self.target.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]
+            thigh = self.target.from_anatomical[f"{side}_hip"]
+            thigh = multiply_quaternions(world[:, joints[0]], thigh)
+            pole = rotate_vectors(thigh, np.broadcast_to(FORWARD, (len(thigh), 3)))
+            ankle, turn = self.ankle(side, world), world[:, joints[2]]
+            limbs.append(Reach(joints[:2], joints[2], positions[:, joints], ankle, turn, pole))
+        return bend_limbs(self.target.skeleton, rotations, world, limbs)
 
     def _scaled(self, points: np.ndarray, own_height: float, height: float) -> np.ndarray:
         """(T, 3) `points` (T, 3) scaled about a point on the floor.
@@ -305,22 +294,21 @@ def place_hands(
     """
     if any(side not in frames.hands for side in SIDES for frames in (source, target)):
         return rotations
-    skeleton = target.skeleton
     chest = source.chain("spine")[-1]
     torso = multiply_quaternions(
         source_world[:, source.joints[chest]], source.from_anatomical[chest]
     )
-    world = global_rotations(rotations, skeleton)
+    world = global_rotations(rotations, target.skeleton)
     source_arms = _arms(source, source_positions, source_world)
     arms = _arms(target, positions, world)
     scale = _span(arms) / _span(source_arms)
-    rotations = rotations.copy()
+    limbs = []
     for side, outward in zip(SIDES, (1.0, -1.0)):
         middle = _between_shoulders(source_arms)
         away = source_arms[side][:, 2] - middle
-        own = rotate_vectors(invert_quaternions(torso), away)
+        lateral = rotate_vectors(invert_quaternions(torso), away)[:, 0]
         half = np.linalg.norm(source_arms[side][:, 0] - middle, axis=1)
-        share = np.clip((outward * own[:, 0] / half - _INSIDE) / (_OUTSIDE - _INSIDE), 0, 1)
+        share = np.clip((outward * lateral / half - _INSIDE) / (_OUTSIDE - _INSIDE), 0, 1)
         weight = 1 - share * share * (3 - 2 * share)
         by_position = _between_shoulders(arms) + scale * away
         by_direction = arms[side][:, 2]
@@ -328,20 +316,12 @@ def place_hands(
         upper_arm = multiply_quaternions(
             world[:, bones[0]], target.from_anatomical[f"{side}_shoulder"]
         )
-        rotations[:, bones] = two_bone_ik(
-            arms[side],
-            by_direction + weight[:, None] * (by_position - by_direction),
-            rotations[:, bones],
-            world[:, [skeleton.parents[j] for j in bones]],
-            pole=rotate_vectors(upper_arm, np.broadcast_to(-FORWARD, by_position.shape)),
-        )
-    now = global_rotations(rotations, skeleton)
-    for side in SIDES:
+        pole = rotate_vectors(upper_arm, np.broadcast_to(-FORWARD, by_position.shape))
+        goal = by_direction + weight[:, None] * (by_position - by_direction)
         wrist = target.joints.get(f"{side}_wrist")
-        if wrist is not None:  # keep the orientation of the hand
-            back = invert_quaternions(now[:, skeleton.parents[wrist]])
-            rotations[:, wrist] = multiply_quaternions(back, world[:, wrist])
-    return rotations
+        turn = None if wrist is None else world[:, wrist]  # the hand keeps its orientation
+        limbs.append(Reach(bones, wrist, arms[side], goal, turn, pole))
+    return bend_limbs(target.skeleton, rotations, world, limbs)
 
 
 def _arms(frames: BodyFrames, positions: np.ndarray, world: np.ndarray) -> dict[str, np.ndarray]:
