@@ -78,19 +78,19 @@ def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAx
     for name, axis in (("up", up), ("forward", forward)):
         if axis != "auto" and axis not in AXES:
             raise FormatError(f"{name} axis {axis!r}; expected auto, {', '.join(AXES)}")
-    found, standing = _evidence(motion) if "auto" in (up, forward) else (None, None)
+    rest, standing = _evidence(motion) if "auto" in (up, forward) else (None, None)
     if forward != "auto":
-        likely = (up,) if up != "auto" else (found and found[0], standing, "y", "z")
+        likely = (up,) if up != "auto" else (rest and rest[0], standing, "y", "z")
         up = next((axis for axis in likely if axis and axis[-1] != forward[-1]), up)
         return FileAxes(up, forward)
     if up != "auto":
-        if found and found[0] == up:
-            return FileAxes(*found)
+        if rest and rest[0] == up:
+            return FileAxes(*rest)
         return FileAxes(up, USUAL_FORWARD[up], guessed=("forward",))
-    if found and standing in (None, found[0]):
-        return FileAxes(*found)
+    if rest and standing in (None, rest[0]):
+        return FileAxes(*rest)
     if standing:
-        return FileAxes(standing, USUAL_FORWARD[standing], found, ("forward",))
+        return FileAxes(standing, USUAL_FORWARD[standing], rest, ("forward",))
     return FileAxes("y", "z", guessed=("up", "forward"))
 
 

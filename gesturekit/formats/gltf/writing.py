@@ -18,10 +18,15 @@ import numpy as np
 from gesturekit.formats.gltf.file import BIN, JSON, MAX_BYTES, Gltf
 from gesturekit.formats.gltf.reading import END_SITE
 from gesturekit.formats.gltf.scene import Nodes
-from gesturekit.formats.gltf.skin import INFLUENCES, Skin, steady_signs
+from gesturekit.formats.gltf.skin import INFLUENCES, Skin
 from gesturekit.formats.gltf.vrm import Avatar
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.rotations import IDENTITY, invert_quaternions, multiply_quaternions
+from gesturekit.motion.rotations import (
+    IDENTITY,
+    invert_quaternions,
+    multiply_quaternions,
+    steady_signs,
+)
 from gesturekit.motion.skeleton import Skeleton, unique_names
 
 _FLOAT, _BYTE, _SHORT, _INT = 5126, 5121, 5123, 5125

@@ -90,7 +90,7 @@ class BodyFrames:
         """
         segments, joints = list(self.joints), list(self.joints.values())
         from_anatomical = np.array([self.from_anatomical[segment] for segment in segments])
-        own = multiply_quaternions(rotations[..., joints, :], from_anatomical)
+        frames = multiply_quaternions(rotations[..., joints, :], from_anatomical)
         if positions is not None and self.bones:
             shortest = _NO_LENGTH * body_scale(self.skeleton)
             drawn = [segments.index(segment) for segment in self.bones]
@@ -98,11 +98,13 @@ class BodyFrames:
             starts = [joints[k] for k in drawn]
             bone = positions[..., list(ends), :] - positions[..., starts, :]
             length = np.linalg.norm(bone, axis=-1, keepdims=True)
-            expected = rotate_vectors(own[..., drawn, :], np.broadcast_to(directions, bone.shape))
+            expected = rotate_vectors(
+                frames[..., drawn, :], np.broadcast_to(directions, bone.shape)
+            )
             bone = np.where(length > shortest, bone / np.maximum(length, shortest), expected)
             arc = shortest_arc(expected, bone)
-            own[..., drawn, :] = multiply_quaternions(arc, own[..., drawn, :])
-        return {segment: own[..., k, :] for k, segment in enumerate(segments)}
+            frames[..., drawn, :] = multiply_quaternions(arc, frames[..., drawn, :])
+        return {segment: frames[..., k, :] for k, segment in enumerate(segments)}
 
     @cached_property
     def places(self) -> np.ndarray:

@@ -93,22 +93,22 @@ def standing_rig(skeleton: Skeleton) -> np.ndarray:
     world = rest.copy()
     pose = rest.copy()
     for j, parent in enumerate(skeleton.parents):
-        own = world[parent] if parent >= 0 else IDENTITY
+        turn = world[parent] if parent >= 0 else IDENTITY
         if j in (pelvis, chest):
             # Two directions are known: along the spine, and across hips or shoulders.
             top = wanted[j][0] if j == chest and j in wanted else chest
             up = places[top] - places[j] if top != j else places[chest] - places[pelvis]
-            own = invert_quaternions(frame(up, _across(parts, j == pelvis, at, scale)))
+            turn = invert_quaternions(frame(up, _across(parts, j == pelvis, at, scale)))
         elif j in wanted:
             below, direction, spare = wanted[j]
-            bone = rotate_vectors(own, places[below] - places[j])
+            bone = rotate_vectors(turn, places[below] - places[j])
             length = np.linalg.norm(bone)
             if length > _NO_LENGTH * scale:
                 arc = shortest_arc(bone / length, direction, spare)
-                own = multiply_quaternions(arc, own)
-        world[j] = own
+                turn = multiply_quaternions(arc, turn)
+        world[j] = turn
         pose[j] = (
-            own if parent < 0 else multiply_quaternions(invert_quaternions(world[parent]), own)
+            turn if parent < 0 else multiply_quaternions(invert_quaternions(world[parent]), turn)
         )
     return pose
 

@@ -179,8 +179,8 @@ class FootTargets:
     def _heading(self, world: np.ndarray) -> np.ndarray:
         """(T, 4) rotations about the vertical that face where the target's pelvis does."""
         pelvis = self.target.joints["pelvis"]
-        own = multiply_quaternions(world[:, pelvis], self.target.from_anatomical["pelvis"])
-        return heading_of(own)
+        turns = multiply_quaternions(world[:, pelvis], self.target.from_anatomical["pelvis"])
+        return heading_of(turns)
 
     def hip_drop(self, world: np.ndarray, positions: np.ndarray, hips: np.ndarray) -> np.ndarray:
         """(T, 3) smooth downward shift of the hips that brings both feet within reach, metres.
