@@ -108,7 +108,7 @@ def command(
     reason, the others are still converted, and the exit code is 1. To continue an interrupted run,
     repeat the command: finished files in the folder OUT are kept.
     """
-    from gesturekit.conversion.convert import Conversion, FormatOptions
+    from gesturekit.conversion.convert import Conversion
     from gesturekit.motion.parts import parse_parts
 
     elsewhere = run_elsewhere(ctx, out, options)
@@ -123,7 +123,10 @@ def command(
         out,
         formats=comma_separated(formats),
         changes=changes,
-        options=FormatOptions(read_from(options), write, body_model, parts),
+        read=read_from(options),
+        write=write,
+        body_model=body_model,
+        parts=parts,
         existing=existing,
         dry_run=dry_run,
         execution=execution,

@@ -116,32 +116,14 @@ def parse_trim(text: str) -> tuple[float, float]:
     return start, end
 
 
-@dataclass(frozen=True)
-class FormatOptions:
-    """Options of readers and writers; each gets those that it has.
-
-    Attributes:
-        read: options of readers, such as `up`; also `fps` and `height`, see `load`.
-        write: options of writers, such as `up`.
-        body_model: npz file of an SMPL or SMPL-X model, or a folder of such files, for readers and
-            writers that use one.
-        parts: joints of the sources specified by hand, see `load`.
-    """
-
-    read: Mapping[str, Any] = field(default_factory=dict)
-    write: Mapping[str, Any] = field(default_factory=dict)
-    body_model: str | os.PathLike[str] | None = None
-    parts: Mapping[str, str] = field(default_factory=dict)
-
-
 class Converter(Processor):
     """Conversion of one motion, with all settings of a `Conversion`, into a folder."""
 
     def __init__(self, conversion: Conversion, out: Path, formats: Sequence[str]) -> None:
-        options = conversion.options
-        model = {} if options.body_model is None else {"body_model": options.body_model}
-        self.read, self.write = {**options.read, **model}, {**options.write, **model}
-        self.out, self.existing, self.parts = out, conversion.existing, options.parts
+        body_model = conversion.body_model
+        model = {} if body_model is None else {"body_model": body_model}
+        self.read, self.write = {**conversion.read, **model}, {**conversion.write, **model}
+        self.out, self.existing, self.parts = out, conversion.existing, conversion.parts
         self.changes, self.dry_run = conversion.changes, conversion.dry_run
         changes = {f.name: getattr(self.changes, f.name) for f in dataclasses.fields(Changes)}
         read = {f"in-{name}": value for name, value in self.read.items()}
@@ -199,7 +181,12 @@ class Conversion:
         formats: formats to write into a folder: bvh, npz, glb, vrma, fbx, html, mp4,
             png, svg, pdf, obj.
         changes: changes to make to each motion.
-        options: options of readers and writers.
+        read: options of readers, such as `up`, for those that have them; also `fps` and `height`,
+            see `load`.
+        write: the same for writers.
+        body_model: npz file of an SMPL or SMPL-X model, or a folder of such files, for readers and
+            writers that use one.
+        parts: joints of the sources specified by hand, see `load`.
         existing: "refuse", "skip" or "replace" files that were made with other settings.
         dry_run: read and change, but write nothing.
         execution: how the work is done.
@@ -218,7 +205,10 @@ class Conversion:
     out: str | os.PathLike[str]
     formats: Sequence[str] = ()
     changes: Changes = field(default_factory=Changes)
-    options: FormatOptions = field(default_factory=FormatOptions)
+    read: Mapping[str, Any] = field(default_factory=dict)
+    write: Mapping[str, Any] = field(default_factory=dict)
+    body_model: str | os.PathLike[str] | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
     existing: str = "refuse"
     dry_run: bool = False
     execution: Execution = field(default_factory=Execution)
@@ -229,7 +219,7 @@ class Conversion:
         paths = [sources] if isinstance(sources, str | os.PathLike) else sources
         self._sources = [Path(path) for path in paths]
         self._out = out = Path(self.out)
-        if self.options.body_model is None:
+        if self.body_model is None:
             self.formats = _without_mesh(self.formats, out)
         self._is_one = is_file_name(out, self._sources, self.formats)
         if self._is_one:
@@ -276,10 +266,8 @@ class Conversion:
         tasks = find_tasks(self._sources, self._out, self.formats)
         paths = [task.file for task in tasks if task.error is None]
         formats = [self._out.suffix.lower()[1:]] if self._is_one else self.formats
-        options = self.options
-        refuse_unused_options(
-            options.read, options.write, options.body_model, paths, formats if paths else ()
-        )
+        formats = formats if paths else ()
+        refuse_unused_options(self.read, self.write, self.body_model, paths, formats)
         return [replace(task, duration=_length(task.file)) for task in tasks]
 
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.errors import FormatError
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import BodyParts, find_parts, leg_length
+from gesturekit.motion.parts import BodyParts, known_parts, leg_length
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -171,9 +171,8 @@ def _axis(vector: np.ndarray) -> str | None:
 
 def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
     """Return (up, forward) of the rest pose, and the axis along which the body stands."""
-    try:
-        parts = find_parts(motion.skeleton)
-    except MotionError:
+    parts = known_parts(motion.skeleton)
+    if parts is None:
         return None, None
     rest = _rest_axes(motion.skeleton, parts)
     return rest, _standing(motion, parts, rest and rest[0])

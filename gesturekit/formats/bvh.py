@@ -48,7 +48,7 @@ def read_bvh(
 
     Args:
         path: the file.
-        unit: unit of its lengths, one of `units.METRES`; "auto" uses that of our mark, or else the
+        unit: unit of its lengths, one of `METRES`; "auto" uses that of our mark, or else the
             one that gives the body the size of a person.
         up: axis that points up, "x" to "z" or "-x" to "-z"; "auto" uses "y" in files that we
             wrote, otherwise the rest pose and the frames in which the body stands.
@@ -94,12 +94,13 @@ def write_bvh(
 
     The root and joints with joint translations have position channels. Their OFFSET is 0 0 0, so
     that programs that add positions to it and those that replace it agree. The root's OFFSET is
-    also our mark, see `mark`. Angles are unwrapped, so that curves do not jump by 360 degrees.
+    also our mark, see `UNIT_MARKS`. Angles are unwrapped, so that curves do not jump by 360
+    degrees.
 
     Args:
         motion: the motion to write.
         path: the file, written atomically.
-        unit: unit of its lengths, one of `units.METRES`.
+        unit: unit of its lengths, one of `METRES`.
         decimals: decimals of offsets and channels (longer units get up to two more, millimetres
             one less).
 

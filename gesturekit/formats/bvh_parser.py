@@ -105,7 +105,7 @@ class ParsedBvh:
         fps: frames per second.
         frames: (T, C) float64, one column per channel, in the file's units.
         renamed: new name to name in the file, for names that had to be changed.
-        unit: unit of our mark, see `mark`; None in files of other programs.
+        unit: unit of our mark, see `UNIT_MARKS`; None in files of other programs.
     """
 
     joints: list[ParsedJoint]

@@ -14,7 +14,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import body_joints, find_legs, find_parts, leg_length
+from gesturekit.motion.parts import body_joints, find_legs, known_parts, leg_length
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     IDENTITY,
@@ -252,10 +252,8 @@ def first_moving_joint(motions: Sequence[Motion]) -> int:
     skeleton = motions[0].skeleton
     legs = find_legs(skeleton)
     hips = [] if legs is None else [skeleton.index(leg.hip) for leg in legs.values()]
-    try:
-        pelvis = skeleton.index(find_parts(skeleton).pelvis)
-    except MotionError:
-        pelvis = 0
+    parts = known_parts(skeleton)
+    pelvis = skeleton.index(parts.pelvis) if parts else 0
     body = sorted({pelvis, *skeleton.ancestors(pelvis), *skeleton.descendants(pelvis)})
     first = next((j for j in body if _moves(motions, j)), 0)
     below = {first, *skeleton.descendants(first)}

@@ -1,10 +1,10 @@
 """Foot locking: remove the sliding of standing feet.
 
 1. Find the contact spans of heel and ball of each foot, from the contact labels predicted by the
-   model, or from speed and height (`contact_spans`).
+   model, or from speed and height (`pinning`).
 2. Subtract slow sliding that is common to the standing feet from the hip path (`horizontal_drift`).
 3. Pin each point at its mean position on the floor in each span, and blend the correction in and
-   out (`pinning`). A foot is never pulled down in flight: it rolls onto and off the floor as
+   out. A foot is never pulled down in flight: it rolls onto and off the floor as
    before. While the heel lifts, only the ball is pinned; a flat foot is pinned at both and rotated
    as a whole.
 4. Raise feet that would sink deeper than before, and lower the hips if a leg is too short.

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
-from gesturekit.conversion.convert import Changes, Conversion, FormatOptions, parse_trim
+from gesturekit.conversion.convert import Changes, Conversion, parse_trim
 from gesturekit.errors import ConfigError
 from gesturekit.formats import Rig, motions_in, smpl_skeleton
 from gesturekit.jobs import STATE, Execution, Result
@@ -22,8 +22,7 @@ from gesturekit.motion import BodyShape, Motion
 
 
 def outcomes(*arguments, **options) -> list[Result]:
-    own = {name: options.pop(name) for name in ("read", "write", "body_model") if name in options}
-    return list(Conversion(*arguments, options=FormatOptions(**own), **options).run())
+    return list(Conversion(*arguments, **options).run())
 
 
 def written(folder: Path) -> set[str]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder, find_leg_joints
+from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder
 from gesturekit.motion.parts.limbs import SIDES, bone_length, find_limbs, named_pairs
 from gesturekit.motion.skeleton import Skeleton
 
@@ -73,11 +73,8 @@ def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     specified = {*by_hand, *by_hand.values()}
     pairs = named_pairs(skeleton)
     if not pairs:
-        try:
+        with suppress(MotionError):
             shape = find_limbs(skeleton)
-        except MotionError:
-            shape = None
-        if shape is not None:
             pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
     pairs = [*by_hand.items(), *(pair for pair in pairs if specified.isdisjoint(pair))]
     return tuple(sorted(pairs, key=lambda pair: skeleton.index(pair[0])))
@@ -110,12 +107,8 @@ def find_parts(skeleton: Skeleton) -> BodyParts:
     """
     finder = PartFinder.complete(skeleton)
 
-    def names(joints: list[int]) -> tuple[str, ...]:
+    def names(joints: Iterable[int]) -> tuple[str, ...]:
         return tuple(skeleton.names[j] for j in joints)
-
-    def limb(side: str, parts: tuple[str, ...]) -> dict[str, Any]:
-        joints = {part: finder.limbs[f"{side}_{part}"] for part in parts}
-        return {part: None if j is None else skeleton.names[j] for part, j in joints.items()}
 
     assert finder.pelvis is not None
     below_head = () if finder.head is None else skeleton.descendants(finder.head)
@@ -124,12 +117,20 @@ def find_parts(skeleton: Skeleton) -> BodyParts:
         spine=names(finder.spine),
         neck=skeleton.names[finder.neck[0]] if finder.neck else None,
         head=None if finder.head is None else skeleton.names[finder.head],
-        arms={side: Arm(**limb(side, ARM)) for side in SIDES},
-        legs={side: Leg(**limb(side, LEG)) for side in SIDES} if finder.has_legs else {},
+        arms={side: Arm(**finder.limb(side, ARM)) for side in SIDES},
+        legs={side: Leg(**finder.limb(side, LEG)) for side in SIDES} if finder.has_legs else {},
         fingers=names(finder.fingers()),
-        face=names([j for j in below_head if j not in finder.ends]),
+        face=names(j for j in below_head if j not in finder.ends),
         ends=names(sorted(finder.ends)),
     )
+
+
+def known_parts(skeleton: Skeleton) -> BodyParts | None:
+    """Return `find_parts`, or None if the parts cannot be identified."""
+    try:
+        return find_parts(skeleton)
+    except MotionError:
+        return None
 
 
 def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
@@ -137,16 +138,10 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
 
     Unlike `find_parts`, this needs no other body parts, such as two arms or a head.
     """
-    try:
-        return find_parts(skeleton).legs or None
-    except MotionError:
-        joints = find_leg_joints(skeleton)
-    if joints is None:
-        return None
-    names: dict[str, Any] = {
-        part: j if j is None else skeleton.names[j] for part, j in joints.items()
-    }
-    return {side: Leg(**{part: names[f"{side}_{part}"] for part in LEG}) for side in SIDES}
+    if parts := known_parts(skeleton):
+        return parts.legs or None
+    finder = PartFinder.of_legs(skeleton)
+    return finder and {side: Leg(**finder.limb(side, LEG)) for side in SIDES}
 
 
 def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:
@@ -169,10 +164,8 @@ def require_legs(skeleton: Skeleton) -> Mapping[str, Leg]:
 
 def is_upper_body(skeleton: Skeleton) -> bool:
     """Return whether all parts of a rig can be identified, and it has no legs."""
-    try:
-        return not find_parts(skeleton).legs
-    except MotionError:
-        return False
+    parts = known_parts(skeleton)
+    return parts is not None and not parts.legs
 
 
 def heading_joints(skeleton: Skeleton) -> tuple[str, str] | None:
@@ -180,14 +173,10 @@ def heading_joints(skeleton: Skeleton) -> tuple[str, str] | None:
 
     None if the rig has no legs that can be identified, and other parts that cannot either.
     """
-    legs = find_legs(skeleton)
-    if legs is not None:
+    if legs := find_legs(skeleton):
         return legs["left"].hip, legs["right"].hip
-    try:
-        arms = find_parts(skeleton).arms
-    except MotionError:
-        return None
-    return arms["left"].shoulder, arms["right"].shoulder
+    parts = known_parts(skeleton)
+    return parts and (parts.arms["left"].shoulder, parts.arms["right"].shoulder)
 
 
 def unidentified(skeleton: Skeleton) -> str:
@@ -195,11 +184,9 @@ def unidentified(skeleton: Skeleton) -> str:
 
     A rig without legs lacks nothing.
     """
-    try:
-        find_parts(skeleton)
-    except MotionError:
-        return "arms or trunk" if find_legs(skeleton) else "legs, arms or trunk"
-    return ""
+    if known_parts(skeleton):
+        return ""
+    return "arms or trunk" if find_legs(skeleton) else "legs, arms or trunk"
 
 
 def parse_parts(texts: Iterable[str]) -> dict[str, str]:
@@ -280,11 +267,8 @@ def body_joints(skeleton: Skeleton) -> tuple[str, ...]:
 
     A rig whose parts cannot be identified keeps all joints.
     """
-    try:
-        parts = find_parts(skeleton)
-    except MotionError:
-        return skeleton.names
-    left_out = {*parts.fingers, *parts.face, *parts.ends}
+    parts = known_parts(skeleton)
+    left_out = {*parts.fingers, *parts.face, *parts.ends} if parts else set()
     return tuple(name for name in skeleton.names if name not in left_out)
 
 

@@ -4,13 +4,14 @@ Left and right come first: a joint is on the left if its name contains a mark of
 ("Left", "l_", ".L", a leading "L", ...) and the name with the mark of the right side exists. Then
 elbows and knees are found by name, because their names are the least ambiguous ("RightShoulder" is
 a clavicle in one file and an upper arm in the next), and all other parts by their position in the
-tree. Limbs without informative names are identified by the shape of the rig (`limb_shapes`). A rig
+tree. Limbs without informative names are identified by the shape of the rig (`limbs`). A rig
 has no legs if names and the user identify none, and no chain on its trunk is long enough for one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -50,23 +51,6 @@ hips, end joints and helpers."""
 _MANY_LEGS, _ALIKE = 6, 0.8
 """Number of chains from one joint, each at least this share of a leg's length, that are legs of an
 animal with more than two."""
-
-
-def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
-    """Return part ("left_hip", ...) to joint of both legs, by name or by hand; None without them.
-
-    It works on rigs whose other parts cannot be identified.
-    """
-    finder = PartFinder(skeleton)
-    for side in SIDES:
-        finder._leg(side)
-    if finder.missing or finder.has_many_legs():
-        return None
-    try:
-        check_limbs(skeleton, finder.limbs, guessed=False)
-    except MotionError:
-        return None
-    return finder.limbs
 
 
 class PartFinder:
@@ -123,6 +107,20 @@ class PartFinder:
         return finder
 
     @classmethod
+    def of_legs(cls, skeleton: Skeleton) -> PartFinder | None:
+        """Return both legs, by name or by hand, of a rig whose other parts cannot be identified."""
+        finder = cls(skeleton)
+        for side in SIDES:
+            finder._leg(side)
+        if finder.missing or finder.has_many_legs():
+            return None
+        try:
+            check_limbs(skeleton, finder.limbs, guessed=False)
+        except MotionError:
+            return None
+        return finder
+
+    @classmethod
     def partial(cls, skeleton: Skeleton) -> PartFinder:
         """Return the parts that names and the user identify, for a rig that lacks some.
 
@@ -148,6 +146,12 @@ class PartFinder:
             finder.missing += ["left_knee", "right_knee"]
         finder._known_trunk()
         return finder
+
+    def limb(self, side: str, parts: Iterable[str]) -> dict[str, Any]:
+        """Return the names of a limb's joints by part; None where the rig has no such joint."""
+        joints = {part: self.limbs[f"{side}_{part}"] for part in parts}
+        names = self.skeleton.names
+        return {part: None if j is None else names[j] for part, j in joints.items()}
 
     def has_many_legs(self) -> bool:
         """Return whether a leg that names identify is one of six or more chains from one joint."""

@@ -5,9 +5,9 @@
    two rest poses are. Spines and necks with different numbers of joints are matched along their
    length.
 2. The path of the hips is scaled by leg length, measured above each rig's own ankles.
-3. Hands near the body are placed where they are on the source, scaled by arm span (`hands`).
+3. Hands near the body are placed where they are on the source, scaled by arm span (`place_hands`).
 4. If the target's feet are then not at the scaled source positions, two-bone IK places them there
-   (`feet`): planted feet stay planted, on the floor.
+   (`FootTargets`): planted feet stay planted, on the floor.
 
 Joints without a counterpart in the source keep their rest rotation. Where one of the rigs has no
 legs, the pelvis moves as the source's, and legs of the target stand straight below it.
@@ -59,7 +59,7 @@ def retarget(
         feet: keep the source's foot positions by inverse kinematics.
         pose: (J, 4) local rotations in which the target stands upright. By default its rest pose,
             which need not be a T- or A-pose. Some rigs do not stand at rest (Bandai-Namco's); for
-            these a pose also gives the twist of each bone, see `standing_pose.standing_pose`.
+            these a pose also gives the twist of each bone, see `standing_pose`.
             Without one only the joint positions are right.
 
     Returns:
