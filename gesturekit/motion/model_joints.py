@@ -23,7 +23,7 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, checked
 
 _LARGEST = 1e6
 """Largest plausible size of a body, in reference bodies."""
@@ -135,11 +135,11 @@ class ModelJoints:
         return {
             "skeleton": skeleton,
             "joints": joints,
-            "fixed_rotations": _numbers(
-                values["fixed_rotations"], "fixed_rotations", (skeleton.n_joints, 4)
+            "fixed_rotations": checked(
+                "fixed_rotations", values["fixed_rotations"], (skeleton.n_joints, 4)
             ),
             "fixed_translations": {
-                skeleton.names[skeleton.index(name)]: _numbers(value, "fixed_translations", (3,))
+                skeleton.names[skeleton.index(name)]: checked("fixed_translations", value, (3,))
                 for name, value in values["fixed_translations"].items()
             },
             "scale": scale,
@@ -280,10 +280,3 @@ def _moves(motions: Sequence[Motion], joint: int) -> bool:
         if turning or (places is not None and np.ptp(places, axis=0).max() > still):
             return True
     return False
-
-
-def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    numbers = np.array(values, dtype=np.float64)
-    if numbers.shape != shape or not np.isfinite(numbers).all():
-        raise MotionError(f"{name}: {numbers.shape} values; expected {shape} finite numbers")
-    return numbers

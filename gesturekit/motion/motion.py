@@ -22,7 +22,7 @@ from gesturekit.motion.mirroring import mirror
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
-from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton
+from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton, checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +85,14 @@ class Motion:
         for name, values in self.joint_translations.items():
             if self.skeleton.index(name) == 0:
                 raise MotionError(f"{name!r} is the root: its position is the motion's translation")
-            moving[name] = _frames(values, n_frames, f"translation of joint {name!r}")
-        checked: dict[str, Any] = {"rotations": rotations, "joint_translations": moving}
-        checked["fps"] = checked_fps(self.fps)
-        checked["translation"] = _frames(self.translation, n_frames, "translation")
-        if self.expressions is not None:
-            checked["expressions"] = _frames(self.expressions, n_frames, "expressions", width=None)
-        for key, value in checked.items():
+            about = f"translation of joint {name!r}"
+            moving[name] = checked(about, values, (n_frames, 3), "frame")
+        fields: dict[str, Any] = {"rotations": rotations, "joint_translations": moving}
+        fields["fps"] = checked_fps(self.fps)
+        fields["translation"] = checked("translation", self.translation, (n_frames, 3), "frame")
+        if (face := self.expressions) is not None:
+            fields["expressions"] = checked("expressions", face, (n_frames, None), "frame")
+        for key, value in fields.items():
             object.__setattr__(self, key, value)
 
     def __repr__(self) -> str:
@@ -394,16 +395,3 @@ def _refuse_special(path: Path) -> None:
         return  # the reader reports the error
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path}: not a regular file")
-
-
-def _frames(values: Any, n_frames: int, name: str, width: int | None = 3) -> np.ndarray:
-    """Return `values` as finite float64 of shape (n_frames, width), or raise MotionError."""
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 2 or values.shape != (n_frames, width or values.shape[1]):
-        needed = (n_frames, width or "any number")
-        raise MotionError(f"{name} has shape {values.shape}; {n_frames} frames need {needed}")
-    if not (near := np.abs(values) <= FARTHEST).all():
-        frame, column = np.argwhere(~near)[0]
-        value = f"{values[frame, column]:g} in column {column}"
-        raise MotionError(f"{name} is not finite, or over {FARTHEST:g}, in frame {frame}: {value}")
-    return values

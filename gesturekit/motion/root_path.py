@@ -17,7 +17,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
-from gesturekit.motion.skeleton import FARTHEST
+from gesturekit.motion.skeleton import checked
 
 STANDING = 0.05
 """m/s of the reference body; a slower path has no direction of travel."""
@@ -47,17 +47,10 @@ class RootPath:
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
         angles = np.array(self.headings, dtype=np.float64)
-        if positions.shape[1:] != (2,) or not len(positions):
-            raise MotionError(f"a path's positions have shape {positions.shape}; expected (T, 2)")
-        if angles.shape != (len(positions),):
-            raise MotionError(
-                f"a path's headings have shape {angles.shape}; {len(positions)} positions need "
-                f"({len(positions)},)"
-            )
-        for what, values in (("position", positions), ("heading", angles)):
-            if not (near := np.abs(values) <= FARTHEST).all():
-                frame = int(np.argwhere(~near)[0, 0])
-                raise MotionError(f"the path's {what} in frame {frame} is {values[frame]}")
+        positions = checked("the path's position", positions, (None, 2), "frame")
+        angles = checked("the path's heading", angles, (len(positions),), "frame")
+        if not len(positions):
+            raise MotionError(f"the path's positions have shape {positions.shape}: no frame")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "headings", np.unwrap(angles))
         object.__setattr__(self, "fps", checked_fps(self.fps))

@@ -13,8 +13,28 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.wording import did_you_mean, listed
 
+FARTHEST = 1e9
+"""Largest plausible coordinate, metres; sums of larger ones could overflow."""
 GENDERS = ("female", "male", "neutral")
 MAX_BETAS = 1000
+
+
+def checked(name: str, values: Any, shape: tuple[int | None, ...], row: str = "row") -> np.ndarray:
+    """Return values as float64 of a shape, in which None is any number.
+
+    Raises:
+        MotionError: another shape, or values that are not finite; `name` and `row` name them.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    fits = [n in (None, m) for n, m in zip(shape, array.shape)]
+    if array.ndim != len(shape) or not all(fits):
+        expected = str(shape).replace("None", "any")
+        raise MotionError(f"{name} has shape {array.shape}; expected {expected}")
+    if not (near := np.abs(array) <= FARTHEST).all():
+        bad = int(np.argwhere(~near)[0, 0])
+        value = array[bad].tolist()
+        raise MotionError(f"{name} is not finite, or over {FARTHEST:g}, in {row} {bad}: {value}")
+    return array
 
 
 @dataclass(frozen=True)
@@ -38,35 +58,25 @@ class BodyShape:
     pelvis: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        betas = _numbers("betas", self.betas)
+        betas = checked("betas", self.betas, (None,))
         if len(betas) > MAX_BETAS:
             raise MotionError(f"{len(betas)} betas; a body has up to {MAX_BETAS}")
         if self.gender not in (None, *GENDERS):
             raise MotionError(f"gender {self.gender!r}; expected {', '.join(GENDERS)}")
-        pelvis = None if self.pelvis is None else tuple(_numbers("pelvis", self.pelvis).tolist())
-        if pelvis is not None and len(pelvis) != 3:
-            raise MotionError(f"pelvis: {len(pelvis)} numbers; expected three")
         object.__setattr__(self, "betas", tuple(np.trim_zeros(betas, "b").tolist()))
-        object.__setattr__(self, "pelvis", pelvis)
+        if self.pelvis is not None:
+            pelvis = checked("pelvis", self.pelvis, (3,))
+            object.__setattr__(self, "pelvis", tuple(pelvis.tolist()))
 
     def to_json(self) -> dict[str, Any]:
         """Return the known attributes as JSON values."""
         return {name: value for name, value in asdict(self).items() if value not in (None, ())}
 
 
-def _numbers(name: str, values: Any) -> np.ndarray:
-    numbers = np.asarray(values, dtype=np.float64)
-    if numbers.ndim != 1 or not np.isfinite(numbers).all():
-        raise MotionError(f"{name} of shape {numbers.shape}; expected finite numbers")
-    return numbers
-
-
 SKELETON_FORMAT = 1
 ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 LONGEST_NAME = 200
 """Characters of a joint's name."""
-FARTHEST = 1e9
-"""Largest plausible coordinate, metres; sums of larger ones could overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +116,11 @@ class Skeleton:
     def __post_init__(self) -> None:
         names = tuple(str(name) for name in self.names)
         parents = tuple(int(parent) for parent in self.parents)
-        offsets = np.array(self.offsets, dtype=np.float64)
         orders = tuple(self.rotation_orders) or ("ZXY",) * len(names)
         _check_tree(names, parents)
+        offsets = np.array(self.offsets, dtype=np.float64)
         if offsets.shape != (len(names), 3):
-            raise MotionError(
-                f"skeleton offsets have shape {offsets.shape}; {len(names)} joints need "
-                f"({len(names)}, 3)"
-            )
+            raise MotionError(f"offsets of shape {offsets.shape} for {len(names)} joints")
         if not (near := np.abs(offsets) <= FARTHEST).all():
             bad = names[int(np.argwhere(~near)[0, 0])]
             raise MotionError(f"the offset of joint {bad!r} is not finite, or over {FARTHEST:g} m")
@@ -127,13 +134,11 @@ class Skeleton:
         for name, sites in self.end_sites.items():
             if name not in known:
                 raise MotionError(f"end site on {name!r}, which is not a joint of the skeleton")
-            ends[name] = tuple(np.array(site, dtype=np.float64) for site in sites)
-            for site in ends[name]:
-                if site.shape != (3,) or not (np.abs(site) <= FARTHEST).all():
-                    raise MotionError(f"an end site of joint {name!r} is not three finite numbers")
-        checked = {"names": names, "parents": parents, "offsets": offsets, "end_sites": ends}
-        checked |= {"rotation_orders": orders, "parts": dict(self.parts)}
-        for key, value in checked.items():
+            about = f"an end site of joint {name!r}"
+            ends[name] = tuple(checked(about, np.array(site), (3,)) for site in sites)
+        fields = {"names": names, "parents": parents, "offsets": offsets, "end_sites": ends}
+        fields |= {"rotation_orders": orders, "parts": dict(self.parts)}
+        for key, value in fields.items():
             object.__setattr__(self, key, value)
         for part, name in self.parts.items():
             try:
