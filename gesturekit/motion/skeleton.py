@@ -19,6 +19,12 @@ GENDERS = ("female", "male", "neutral")
 MAX_BETAS = 1000
 
 
+def has_shape(array: np.ndarray, shape: tuple[int | None, ...]) -> bool:
+    """Return whether an array has a shape, in which None is any number."""
+    fits = [n in (None, m) for n, m in zip(shape, array.shape)]
+    return array.ndim == len(shape) and all(fits)
+
+
 def checked(name: str, values: Any, shape: tuple[int | None, ...], row: str = "row") -> np.ndarray:
     """Return values as float64 of a shape, in which None is any number.
 
@@ -26,8 +32,7 @@ def checked(name: str, values: Any, shape: tuple[int | None, ...], row: str = "r
         MotionError: another shape, or values that are not finite; `name` and `row` name them.
     """
     array = np.asarray(values, dtype=np.float64)
-    fits = [n in (None, m) for n, m in zip(shape, array.shape)]
-    if array.ndim != len(shape) or not all(fits):
+    if not has_shape(array, shape):
         expected = str(shape).replace("None", "any")
         raise MotionError(f"{name} has shape {array.shape}; expected {expected}")
     if not (near := np.abs(array) <= FARTHEST).all():
