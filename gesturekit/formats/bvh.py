@@ -200,12 +200,15 @@ def _rotations(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> np.
     in_order: dict[str, list[int]] = {}
     for j, joint in enumerate(joints):
         in_order.setdefault(_order(joint), []).append(j)
+    angles_at = {
+        order: np.array([[columns.get((j, f"{axis}r"), -1) for axis in order] for j in js])
+        for order, js in in_order.items()
+    }
     for start in range(0, len(frames), _FRAMES_AT_ONCE):  # blocks that fit in the CPU cache
         block = slice(start, start + _FRAMES_AT_ONCE)
-        for order, js in in_order.items():
-            at = np.array([[columns.get((j, f"{axis}r"), -1) for axis in order] for j in js])
+        for order, at in angles_at.items():
             angles = np.where(at >= 0, frames[block][:, at], 0.0)
-            rotations[block, js] = quaternion_from_euler(angles, order)
+            rotations[block, in_order[order]] = quaternion_from_euler(angles, order)
     return rotations
 
 

@@ -386,18 +386,11 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
             break
     if not n_rows:
         raise lines.error(f"the file declares {n_frames} frames and holds none")
-    if n_rows < n_frames:
-        warnings.warn(
-            f"{lines.path}: the file declares {n_frames} frames and holds {n_rows}{ending}: "
-            "it was probably cut short",
-            stacklevel=2,
-        )
-    elif n_rows > n_frames:
-        warnings.warn(
-            f"{lines.path}: the file declares {n_frames} frames; all {n_rows} that it holds are "
-            "read",
-            stacklevel=2,
-        )
+    if n_rows != n_frames:
+        held = f"; all {n_rows} that it holds are read"
+        if n_rows < n_frames:
+            held = f" and holds {n_rows}{ending}: it was probably cut short"
+        warnings.warn(f"{lines.path}: the file declares {n_frames} frames{held}", stacklevel=2)
     return np.concatenate(blocks)
 
 
