@@ -14,6 +14,30 @@ from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder
 from gesturekit.motion.parts.limbs import SIDES, bone_length, find_limbs, named_pairs
 from gesturekit.motion.skeleton import Skeleton
 
+__all__ = [
+    "KNOWN_PARTS",
+    "SIDES",
+    "Arm",
+    "BodyParts",
+    "Leg",
+    "arm_joints",
+    "arm_length",
+    "body_joints",
+    "find_legs",
+    "find_parts",
+    "heading_joints",
+    "is_upper_body",
+    "known_part_labels",
+    "left_right_pairs",
+    "leg_joints",
+    "leg_length",
+    "parse_parts",
+    "part_labels",
+    "require_legs",
+    "unidentified",
+    "upper_body",
+]
+
 
 @dataclass(frozen=True)
 class Arm:
