@@ -165,7 +165,9 @@ def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
     if parts := known_parts(skeleton):
         return parts.legs or None
     finder = PartFinder.of_legs(skeleton)
-    return finder and {side: Leg(**finder.limb(side, LEG)) for side in SIDES}
+    if finder is None:
+        return None
+    return {side: Leg(**finder.limb(side, LEG)) for side in SIDES}
 
 
 def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:
@@ -199,8 +201,9 @@ def heading_joints(skeleton: Skeleton) -> tuple[str, str] | None:
     """
     if legs := find_legs(skeleton):
         return legs["left"].hip, legs["right"].hip
-    parts = known_parts(skeleton)
-    return parts and (parts.arms["left"].shoulder, parts.arms["right"].shoulder)
+    if parts := known_parts(skeleton):
+        return parts.arms["left"].shoulder, parts.arms["right"].shoulder
+    return None
 
 
 def unidentified(skeleton: Skeleton) -> str:
