@@ -182,7 +182,7 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     """Return (up, forward) of the rest pose; None if it does not stand or is contradictory."""
     rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
     at = dict(zip(skeleton.names, forward_kinematics(rest, np.zeros(3), skeleton)))
-    arms, legs = ([limbs[side] for side in limbs] for limbs in (parts.arms, parts.legs))
+    arms, legs = list(parts.arms.values()), list(parts.legs.values())
     chest = at[parts.spine[-1]]
     if not legs:
         return _upper_body_axes(at, parts)

@@ -79,6 +79,7 @@ class PartFinder:
                 self.side[skeleton.index(name)] = side
         self.bare = [bare_name(name, side) for name, side in zip(skeleton.names, self.side)]
         self.missing: list[str] = []
+        self.has_legs = True
         self.limbs: dict[str, int | None] = {}
         self.ends = {
             j
