@@ -19,7 +19,7 @@ from harness import arguments, compare, report
 from scipy.spatial.transform import Rotation
 
 from gesturekit.formats import read_bvh, write_bvh
-from gesturekit.formats.bvh.rows import Lines, parse_rows
+from gesturekit.formats.bvh_parser import Lines, parse_rows
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.rotations import matrix_from_quaternion
 from gesturekit.motion.torch_kinematics import ForwardKinematics

@@ -19,7 +19,7 @@ import torch.nn.functional as F
 from harness import arguments, compare, report
 
 import audio_features as af
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
+from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation

@@ -35,7 +35,7 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.corpus import prepare
 from gesturekit.formats import write_bvh
-from gesturekit.formats.smpl.skeleton import smpl_skeleton
+from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig

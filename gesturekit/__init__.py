@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gesturekit.lazy import attach
+from gesturekit import lazy
 
 if TYPE_CHECKING:
     from gesturekit.corpus import prepare
@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 # `gesturekit --help` needs none of them.
-__getattr__ = attach(
+__getattr__ = lazy.attach(
     __name__,
     {
         "GestureKitError": "errors",
@@ -53,7 +53,9 @@ __getattr__ = attach(
         "render": "rendering.batch",
         "train": "systems",
     },
+    {"display": "viewer", "reader_of": "formats.registry", "writer_of": "formats.registry"},
 )[1]
+lazy.on_demand = __getattr__  # for `Motion`, which is below readers, writers and viewer
 
 
 def __dir__() -> list[str]:

@@ -7,6 +7,9 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
+on_demand: Callable[[str], Any]
+"""Returns a function of a higher package by name; `gesturekit/__init__.py`, above all, sets it."""
+
 
 def attach(
     package: str, homes: Mapping[str, str], others: Mapping[str, str] = MappingProxyType({})
@@ -29,3 +32,8 @@ def attach(
         return getattr(import_module(f"{package}.{places[name]}"), name)
 
     return sorted(homes), get, lambda: sorted(homes)
+
+
+def by_name(names: Mapping[str, str]) -> dict[str, str]:
+    """Return {name: module} of {module: names separated by spaces}, for `attach`."""
+    return {name: module for module, words in names.items() for name in words.split()}

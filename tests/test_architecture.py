@@ -45,7 +45,6 @@ LAZY_IMPORTS = {
     "gesturekit/cli/__init__.py",
     "gesturekit/evaluation/definitions.py",
     "gesturekit/formats/registry.py",
-    "gesturekit/motion/motion.py",
     "gesturekit/systems.py",
 }
 

@@ -27,7 +27,7 @@ from gesturekit.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from gesturekit.conversion.changes import Changes
+    from gesturekit.conversion.convert import Changes
     from gesturekit.jobs.result import Result
 
 EXAMPLES = """\
@@ -107,7 +107,6 @@ def command(
     repeat the command: finished files in the folder OUT are kept.
     """
     from gesturekit.conversion.convert import Conversion
-    from gesturekit.conversion.options import FormatOptions
     from gesturekit.motion.parts import parse_parts
 
     execution, dry_run = pop_execution(ctx, out, options)
@@ -119,7 +118,10 @@ def command(
         out,
         formats=comma_separated(formats),
         changes=changes,
-        options=FormatOptions(read_from(options), write, body_model, parts),
+        read=read_from(options),
+        write=write,
+        body_model=body_model,
+        parts=parts,
         existing=existing,
         dry_run=dry_run,
         execution=execution,
@@ -136,8 +138,8 @@ def _changes(options: dict[str, Any]) -> Changes:
     Raises:
         click.UsageError: --rig-part without --rig.
     """
-    from gesturekit.conversion.changes import Changes, parse_trim
-    from gesturekit.formats.rig import Rig
+    from gesturekit.conversion.convert import Changes, parse_trim
+    from gesturekit.formats.smpl import Rig
     from gesturekit.motion.parts import parse_parts
 
     rig, rig_parts, trim, joints = (

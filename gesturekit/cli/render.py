@@ -401,7 +401,7 @@ _WRITTEN = ("existing", "unit", "up", "body", "framing", "size")
 
 def _output(options: dict[str, Any]) -> Output:
     """Pop the options of the output from all options."""
-    from gesturekit.formats.rig import Rig
+    from gesturekit.formats.smpl import Rig
     from gesturekit.motion.parts import parse_parts
     from gesturekit.rendering.renderer import Output
 

@@ -3,59 +3,130 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
+import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gesturekit.conversion.changes import Changes
 from gesturekit.conversion.inputs import find_tasks, is_file_name
-from gesturekit.conversion.options import (
-    FormatOptions,
-    describe,
-    warn_of_losses,
-    with_body_model,
-    without_mesh,
+from gesturekit.errors import ConfigError, MotionError
+from gesturekit.formats.conversion import (
+    applicable_write_options,
+    describe_axes,
+    load,
+    refuse_unused_options,
 )
-from gesturekit.errors import ConfigError
-from gesturekit.formats.conversion import applicable_write_options, load, refuse_unused_options
 from gesturekit.formats.plausibility import plausibility_warnings
+from gesturekit.formats.smpl import Rig
 from gesturekit.jobs.batch import EXISTING, Batch, Execution, refuse_existing
 from gesturekit.jobs.result import Processor, Result, Task, json_of
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.wording import counted
+
+_WITHOUT_FACES = {".bvh": "BVH", ".glb": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
+"""Formats without expressions and body shape, by suffix."""
 
 
-@dataclass
-class Converter(Processor):
-    """Conversion of one motion, with all settings.
+@dataclass(frozen=True)
+class Changes:
+    """Changes to a motion, made in this order; by default none.
 
-    Args:
-        out: output folder.
-        formats: suffixes of the files to write, without the dot.
-        changes: changes to make.
-        options: options of readers and writers, see `with_body_model`.
-        existing: "refuse", "skip" or "replace" files that were made with other settings.
-        dry_run: read and change, but write nothing.
+    Attributes:
+        trim: (start, end) seconds to keep, rounded to frames; the end may be infinite.
+        mirror: exchange left and right.
+        rig: rig to retarget to.
+        joints: "all", "body" (no fingers, face and end joints), or names to keep.
+        fps: frames per second of the result.
+        antialias: filter out frequencies above half of a lower frame rate.
     """
 
-    out: Path
-    formats: Sequence[str]
-    changes: Changes
-    options: FormatOptions
-    existing: str
-    dry_run: bool
-    settings: dict[str, Any] = field(init=False)
-    written: dict[str, dict[str, Any]] = field(init=False)
+    trim: tuple[float, float] | None = None
+    mirror: bool = False
+    rig: Rig | None = None
+    joints: str | tuple[str, ...] = "all"
+    fps: float | None = None
+    antialias: bool = False
 
-    def __post_init__(self) -> None:
+    def __call__(self, motion: Motion) -> tuple[Motion, list[str]]:
+        """Return the changed motion, and a phrase for each change.
+
+        Warns:
+            UserWarning: a kept joint has to move, because a rotating joint above was removed.
+
+        Raises:
+            MotionError: an unknown joint, body parts that cannot be identified, or nothing left
+                after trimming.
+        """
+        done = []
+        if self.trim is not None:
+            # Some clips of a folder may be shorter than the range.
+            start, end = self.trim
+            if start >= motion.duration:
+                raise MotionError(
+                    f"trim leaves nothing: it begins at {start:g} s, the motion lasts "
+                    f"{motion.duration:g} s"
+                )
+            motion = motion.trim(start, min(end, motion.duration))
+            done.append(f"cut to {motion.duration:.2f} s")
+        if self.mirror:
+            motion = motion.mirror()
+            done.append("mirrored")
+        if self.rig is not None:
+            motion = self.rig.put(motion)
+            done.append(f"on {self.rig.name}, {counted(motion.skeleton.n_joints, 'joint')}")
+        if self.joints != "all":
+            before = motion
+            motion = motion.keep(
+                body_joints(motion.skeleton) if self.joints == "body" else self.joints
+            )
+            if motion is not before:
+                done.append(f"{motion.skeleton.n_joints} of {before.skeleton.n_joints} joints")
+            if moving := motion.joint_translations.keys() - before.joint_translations.keys():
+                warnings.warn(
+                    f"{', '.join(sorted(moving))}: a parent joint that rotates was removed, so "
+                    "these joints get position channels, which some programs ignore",
+                    stacklevel=2,
+                )
+        if self.fps is not None and self.fps != motion.fps:
+            done.append(f"{motion.fps:.6g} to {self.fps:.6g} fps")
+            motion = motion.resample(self.fps, antialias=self.antialias)
+        return motion, done
+
+
+def parse_trim(text: str) -> tuple[float, float]:
+    """Parse ``"2:10.5"`` as (start, end) seconds; start and end may be left out.
+
+    Raises:
+        ConfigError: not an interval, or one that ends before it begins.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)?\s*:\s*(\d+(?:\.\d*)?|\.\d+)?\s*", text)
+    if not match or not (match[1] or match[2]):
+        raise ConfigError(f"trim {text!r}; write START:END in seconds, as 2:10.5, 2: or :10.5")
+    start, end = float(match[1] or 0), float(match[2]) if match[2] else math.inf
+    if end <= start:
+        raise ConfigError(f"trim {text!r} ends before it begins")
+    return start, end
+
+
+class Converter(Processor):
+    """Conversion of one motion, with all settings of a `Conversion`, into a folder."""
+
+    def __init__(self, conversion: Conversion, out: Path, formats: Sequence[str]) -> None:
+        body_model = conversion.body_model
+        model = {} if body_model is None else {"body_model": body_model}
+        self.read, self.write = {**conversion.read, **model}, {**conversion.write, **model}
+        self.out, self.existing, self.parts = out, conversion.existing, conversion.parts
+        self.changes, self.dry_run = conversion.changes, conversion.dry_run
         changes = {f.name: getattr(self.changes, f.name) for f in dataclasses.fields(Changes)}
-        read = {f"in-{name}": value for name, value in self.options.read.items()}
-        self.settings = json_of({**changes, **read, "parts": dict(self.options.parts)})
+        read = {f"in-{name}": value for name, value in self.read.items()}
+        self.settings = json_of({**changes, **read, "parts": dict(self.parts)})
         self.written = {
-            kind: json_of(applicable_write_options(Path(f"x.{kind}"), self.options.write))
-            for kind in self.formats
+            kind: json_of(applicable_write_options(kind, self.write)) for kind in formats
         }
 
     def make(self, result: Result) -> None:
@@ -76,24 +147,21 @@ class Converter(Processor):
 
     def _convert(self, result: Result) -> None:
         task = result.task
-        motion = load(task.file, self.options.read, self.options.parts)
-        for reason in plausibility_warnings(motion, self.options.read):
+        motion = load(task.file, self.read, self.parts)
+        for reason in plausibility_warnings(motion, self.read):
             warnings.warn(f"{task.source}: {reason}", stacklevel=2)
-        result.facts["found"] = describe(motion)
+        result.facts["found"] = _summary(motion)
         motion, done = self.changes(motion)
         result.facts["done"] = tuple(done)
         result.sound = motion.duration
         for target in self.missing(result, task.id):
-            self._write(motion, target)
-
-    def _write(self, motion: Motion, target: Path) -> None:
-        """Write one file, warning of data that its format cannot hold."""
-        options = applicable_write_options(target, self.options.write)
-        if self.changes.rig is not None:
-            options |= self.changes.rig.options.get(target.suffix.lower(), {})
-        warn_of_losses(motion, target)
-        if not self.dry_run:
-            motion.save(target, **options)
+            suffix = target.suffix.lower()
+            options = applicable_write_options(suffix[1:], self.write)
+            if self.changes.rig is not None:
+                options |= self.changes.rig.options.get(suffix, {})
+            _warn_of_losses(motion, target)
+            if not self.dry_run:
+                motion.save(target, **options)
 
 
 @dataclass
@@ -108,7 +176,12 @@ class Conversion:
         formats: formats to write into a folder: bvh, npz, glb, vrma, fbx, html, mp4,
             png, svg, pdf, obj.
         changes: changes to make to each motion.
-        options: options of readers and writers.
+        read: options of readers, such as `up`, for those that have them; also `fps` and `height`,
+            see `load`.
+        write: the same for writers.
+        body_model: npz file of an SMPL or SMPL-X model, or a folder of such files, for readers and
+            writers that use one.
+        parts: joints of the sources specified by hand, see `load`.
         existing: "refuse", "skip" or "replace" files that were made with other settings.
         dry_run: read and change, but write nothing.
         execution: how the work is done.
@@ -127,7 +200,10 @@ class Conversion:
     out: str | os.PathLike[str]
     formats: Sequence[str] = ()
     changes: Changes = field(default_factory=Changes)
-    options: FormatOptions = field(default_factory=FormatOptions)
+    read: Mapping[str, Any] = field(default_factory=dict)
+    write: Mapping[str, Any] = field(default_factory=dict)
+    body_model: str | os.PathLike[str] | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
     existing: str = "refuse"
     dry_run: bool = False
     execution: Execution = field(default_factory=Execution)
@@ -137,26 +213,20 @@ class Conversion:
         sources = self.sources
         paths = [sources] if isinstance(sources, str | os.PathLike) else sources
         self._sources = [Path(path) for path in paths]
-        self._out = Path(self.out)
-        if self.options.body_model is None:
-            self.formats = without_mesh(self.formats, self._out)
-        self._is_one = is_file_name(self._out, self._sources, self.formats)
+        self._out = out = Path(self.out)
+        if self.body_model is None:
+            self.formats = _without_mesh(self.formats, out)
+        self._is_one = is_file_name(out, self._sources, self.formats)
         if self._is_one:
             if self.execution.shard[1] > 1:
-                raise ConfigError(
-                    f"{self.out} is a file, which cannot be split into shards; give a folder"
-                )
+                raise ConfigError(f"{out}: a file cannot be split into shards; give a folder")
             self.tasks = self._find()
-            self._converter = self._converter_into(self._out.parent, [self._out.suffix[1:]])
-            self._kept = _kept(self._out, self.existing)
+            self._converter = Converter(self, out.parent, [out.suffix[1:]])
+            self._kept = _kept(out, self.existing)
             return
-        self._converter = self._converter_into(self._out, self.formats)
+        self._converter = Converter(self, out, self.formats)
         self._batch = Batch(self._converter, self._find(), self.execution)
         self.tasks = self._batch.tasks
-
-    def _converter_into(self, out: Path, formats: Sequence[str]) -> Converter:
-        options = with_body_model(self.options)
-        return Converter(out, formats, self.changes, options, self.existing, self.dry_run)
 
     def run(self) -> Iterator[Result]:
         """Convert, and yield the result of each motion as soon as it is done.
@@ -174,47 +244,54 @@ class Conversion:
             yield result
 
     def _results(self) -> Iterator[Result]:
-        if self._is_one:
-            status = "kept" if self._kept else "left"
-            yield self._tried(Result(self.tasks[0], status, kept=self._kept))
-        elif self.dry_run:
-            yield from (self._tried(self._batch.known(task)) for task in self.tasks)
-        else:
+        if not self._is_one and not self.dry_run:
             yield from self._batch.run()
-
-    def _tried(self, result: Result) -> Result:
-        """Do the work that is left, without a record."""
-        return self._converter(result) if result.status == "left" else result
+            return
+        # Without a record.
+        for task in self.tasks:
+            if self._is_one:
+                result = Result(task, "kept" if self._kept else "left", kept=self._kept)
+            else:
+                result = self._batch.known(task)
+            yield self._converter(result) if result.status == "left" else result
 
     def _find(self) -> list[Task]:
         tasks = find_tasks(self._sources, self._out, self.formats)
         paths = [task.file for task in tasks if task.error is None]
-        names = [self._out] if self._is_one else [Path(f"x.{kind}") for kind in self.formats]
-        options, targets = self.options, names if paths else []
-        refuse_unused_options(options.read, options.write, options.body_model, paths, targets)
+        formats = [self._out.suffix.lower()[1:]] if self._is_one else self.formats
+        formats = formats if paths else ()
+        refuse_unused_options(self.read, self.write, self.body_model, paths, formats)
         return tasks
 
 
-def convert(
-    sources: Sequence[str | os.PathLike[str]] | str | os.PathLike[str],
-    out: str | os.PathLike[str],
-    **settings: Any,
-) -> Iterator[Result]:
-    """Read each motion, change it, and write it in other formats.
+def _summary(motion: Motion) -> str:
+    """Return unit, axes, rate, frames and joints of a motion; "?" marks guesses."""
+    words = describe_axes(motion.info, "?")
+    if "scale" in motion.info:
+        words.append(f"scaled by {motion.info['scale']:.4g}")
+    frames, joints = counted(motion.n_frames, "frame"), counted(motion.skeleton.n_joints, "joint")
+    return ", ".join([*words, f"{motion.fps:.6g} fps", frames, joints])
 
-    Args:
-        sources: motion files, and folders to search for motions.
-        out: a file for a single motion, otherwise a folder.
-        settings: the other fields of `Conversion`.
 
-    Yields:
-        The result of each motion, as soon as it is done.
+def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
+    """Return the formats that can be written without a body model."""
+    if "obj" not in (formats or [out.suffix.lower()[1:]]):
+        return formats
+    needs = "an obj needs the mesh of a body model: give --body-model SMPLX_NEUTRAL.npz"
+    others = [name for name in formats if name != "obj"]
+    if not others:
+        raise ConfigError(needs)
+    warnings.warn(f"no obj is written; {needs}", stacklevel=3)
+    return others
 
-    Raises:
-        ConfigError: the conversion cannot start.
-        OutputError: the disk became full; what is done is kept.
-    """
-    yield from Conversion(sources, out, **settings).run()
+
+def _warn_of_losses(motion: Motion, target: Path) -> None:
+    """Warn of data of a motion that the format of a target cannot hold."""
+    name = _WITHOUT_FACES.get(target.suffix.lower())
+    lost = ["face expressions"] if motion.expressions is not None else []
+    lost += ["body shape (betas)"] if motion.skeleton.body_shape.betas else []
+    if name and lost:
+        warnings.warn(f"{target}: {name} holds no {' and no '.join(lost)}; npz does", stacklevel=2)
 
 
 def _kept(target: Path, existing: str) -> tuple[Path, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gesturekit.errors import ConfigError
@@ -23,6 +23,7 @@ from gesturekit.jobs.result import Task
 from gesturekit.wording import listed
 
 _SHOWN = 3
+_KNOWN = ", ".join(WRITABLE)
 
 
 def find_tasks(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) -> list[Task]:
@@ -41,28 +42,31 @@ def find_tasks(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) 
     """
     if not sources:
         raise ConfigError("nothing to convert; name a motion file or a folder of them")
-    unknown = [name for name in formats if name not in WRITABLE]
-    if unknown:
-        raise ConfigError(f"format {', '.join(unknown)}: known: {', '.join(WRITABLE)}")
+    if unknown := [name for name in formats if name not in WRITABLE]:
+        raise ConfigError(f"format {', '.join(unknown)}: known: {_KNOWN}")
     if is_file_name(out, sources, formats):
-        if formats and list(formats) != [out.suffix.lower()[1:]]:
+        kind = out.suffix.lower()[1:]
+        if formats and list(formats) != [kind]:
             raise ConfigError(
-                f"{out} is written as {out.suffix.lower()[1:]}, not {', '.join(formats)}; "
+                f"{out} is written as {kind}, not {', '.join(formats)}; "
                 "give a folder to write several formats"
             )
-        tasks = found = [Task(out.stem, sources[0])]
+        tasks = every = [Task(out.stem, sources[0])]
         targets = [(out, tasks[0])]
     else:
-        found = _into_folder(sources, out, formats)
-        tasks = _without_copies(found)
+        every = _into_folder(sources, out, formats)
+        tasks = _without_copies(every)
         targets = [
             (out / f"{task.id}.{kind}", task)
             for task in tasks
             if task.error is None
             for kind in formats
         ]
-    _refuse_clashes(targets, {os.path.realpath(task.file) for task in found})
-    _refuse_locked([target for target, _ in targets], out)
+    _refuse_clashes(targets, {os.path.realpath(task.file) for task in every})
+    # The nearest existing folder must be writable, which hours of reading would show too late.
+    folder = next(path for path in (out, *out.absolute().parents) if path.is_dir())
+    if targets and not os.access(folder, os.W_OK | os.X_OK):
+        raise ConfigError(f"{out}: {folder} cannot be written to; give another place")
     return tasks
 
 
@@ -79,16 +83,13 @@ def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> 
         if suffix in WRITABLE:
             return True
         if suffix and not formats:
-            raise ConfigError(
-                f"{out}: cannot write motion as .{suffix}; known: {', '.join(WRITABLE)}"
-            )
+            raise ConfigError(f"{out}: cannot write motion as .{suffix}; known: {_KNOWN}")
     elif suffix in WRITABLE:
         what = "a folder" if len(sources) == 1 else f"{len(sources)} inputs"
         raise ConfigError(f"{out} is a file name, but {what} cannot become one file; name a folder")
     if out.exists():
         raise ConfigError(
-            f"{out} is a file; give a folder to fill, or a name ending in one of "
-            f"{', '.join(WRITABLE)}"
+            f"{out} is a file; give a folder to fill, or a name ending in one of {_KNOWN}"
         )
     return False
 
@@ -96,8 +97,7 @@ def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> 
 def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> list[Task]:
     if not formats:
         raise ConfigError(
-            f"{out} is a folder: say what to write into it, such as --format npz "
-            f"(of {', '.join(WRITABLE)})"
+            f"{out} is a folder: say what to write into it, such as --format npz (of {_KNOWN})"
         )
     tasks: dict[tuple[str, str], Task] = {}
     for source in sources:
@@ -108,22 +108,20 @@ def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> 
                 continue
             # A file that is named twice is converted once; a link to it beside it is not it.
             tasks.setdefault((os.path.realpath(path), key), Task(key, path))
-    _warn_of_unread(sources, tasks.values())
+    _warn_of_unread(sources, {task.file.with_suffix("") for task in tasks.values()})
     if not tasks:
         raise ConfigError(f"{sources[0]}: {NO_MOTION}")
     return list(tasks.values())
 
 
-def _warn_of_unread(sources: Sequence[Path], tasks: Iterable[Task]) -> None:
-    read = {task.file.with_suffix("") for task in tasks}
+def _warn_of_unread(sources: Sequence[Path], read: set[Path]) -> None:
+    """Warn of unsupported motion files, except those beside a file of the same stem in `read`."""
     unread: dict[str, list[str]] = {}
     for folder in filter(Path.is_dir, sources):
         for _, _, files in visible_folders(folder, lambda error: None):  # named already
             for path in files:
-                if (
-                    path.suffix.lower() in OTHER_MOTION_SUFFIXES
-                    and path.with_suffix("") not in read
-                ):
+                is_other = path.suffix.lower() in OTHER_MOTION_SUFFIXES
+                if is_other and path.with_suffix("") not in read:
                     unread.setdefault(unreadable_media(path) or "", []).append(str(path))
     for reason, paths in unread.items():
         warnings.warn(f"{listed(paths, _SHOWN)}: {reason}", stacklevel=2)
@@ -141,10 +139,9 @@ def _keyed(source: Path, out: Path) -> Iterator[tuple[Path | OSError, str]]:
     for path in motions_in(source, but=inside):
         if isinstance(path, OSError):
             yield path, ""
-        elif path.is_dir():
-            yield path, path.relative_to(source).as_posix()
         else:
-            yield path, path.relative_to(source).with_suffix("").as_posix()
+            within = path.relative_to(source)
+            yield path, (within if path.is_dir() else within.with_suffix("")).as_posix()
 
 
 def _without_copies(tasks: list[Task]) -> list[Task]:
@@ -169,12 +166,3 @@ def _refuse_clashes(targets: Sequence[tuple[Path, Task]], sources: set[str]) -> 
                 "convert them into different folders"
             )
         taken[where] = task
-
-
-def _refuse_locked(targets: Sequence[Path], out: Path) -> None:
-    """Raise ConfigError if the nearest existing folder is not writable, before hours of reading."""
-    if not targets:
-        return
-    folder = next(path for path in (out, *out.absolute().parents) if path.is_dir())
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise ConfigError(f"{out}: {folder} cannot be written to; give another place")

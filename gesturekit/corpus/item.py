@@ -17,7 +17,7 @@ from gesturekit.errors import CorpusError
 
 if TYPE_CHECKING:
     from audio_features import Wave
-    from gesturekit.formats.tables.events import Event
+    from gesturekit.formats.tables import Event
     from gesturekit.motion import Motion
     from gesturekit.motion.root_path import RootPath
 
@@ -78,8 +78,8 @@ class Item:
         text: transcript, or None.
         mirror: True to mirror the motion, left for right.
         conditions: further files of the whole recording, {name: absolute path}: `events`, a table
-            of timed events (`formats.tables.events`), and `path`, the path of the root
-            (`formats.tables.root_path`; by default that of the motion). `words` is a word list
+            of timed events (`formats.tables`), and `path`, the path of the root
+            (`formats.tables`; by default that of the motion). `words` is a word list
             (`audio_features.load_words`), `semantics` BEAT's table of gestures with their semantic
             scores; `partner_audio`, `partner_motion` and `partner_words` are the interlocutor's.
         reading: options for reading the motion file that replace detection: `unit`, the axes `up`
@@ -223,7 +223,7 @@ class Item:
         """
         if "events" not in self.conditions:
             return ()
-        from gesturekit.formats.tables.events import Event, load_events
+        from gesturekit.formats.tables import Event, load_events
 
         begins = self.audio_start if self.motion is None else self.motion_start
         events = []
@@ -250,7 +250,7 @@ class Item:
         """
         if "path" not in self.conditions:
             return None
-        from gesturekit.formats.tables.root_path import load_root_path
+        from gesturekit.formats.tables import load_root_path
 
         begins = self.audio_start if self.motion is None else self.motion_start
         path = load_root_path(self.conditions["path"], scale)

@@ -20,9 +20,7 @@ from gesturekit.corpus.item import CONDITIONS, muted
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conversion import load_with_warnings
 from gesturekit.formats.plausibility import plausibility_warnings
-from gesturekit.formats.tables.events import load_events
-from gesturekit.formats.tables.root_path import load_root_path
-from gesturekit.formats.tables.semantics import load_semantics
+from gesturekit.formats.tables import load_events, load_root_path, load_semantics
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import counted, listed

@@ -14,7 +14,7 @@ from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import file_fingerprint
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
-from gesturekit.formats.tables.table import read_table
+from gesturekit.formats.tables import read_table
 from gesturekit.wording import counted, did_you_mean, listed
 
 

@@ -23,7 +23,7 @@ from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ModelError
 from gesturekit.evaluation.metrics.rhythm import music_beats
-from gesturekit.formats.tables.events import Event, load_events
+from gesturekit.formats.tables import Event, load_events
 from gesturekit.motion.root_path import RootPath
 from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.features import (

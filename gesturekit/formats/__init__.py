@@ -1,12 +1,12 @@
 """Readers and writers of motion files: BVH, npz, glTF, FBX, SMPL rigs, EasyMocap, meshes."""
 
-from gesturekit.formats.bvh.bvh import read_bvh, write_bvh
+from gesturekit.formats.bvh import read_bvh, write_bvh
+from gesturekit.formats.easymocap import read_easymocap
 from gesturekit.formats.fbx import read_fbx
 from gesturekit.formats.gltf.reading import read_gltf
 from gesturekit.formats.npz import read_npz, write_npz
-from gesturekit.formats.obj import write_obj
-from gesturekit.formats.smpl.easymocap import read_easymocap
-from gesturekit.lazy import attach
+from gesturekit.formats.smpl import write_obj
+from gesturekit.lazy import attach, by_name
 
 __all__ = [
     "read_bvh",
@@ -19,31 +19,14 @@ __all__ = [
     "write_obj",
 ]
 
-__getattr__ = attach(
-    __name__,
-    {},
-    {
-        "Event": "tables.events",
-        "Gltf": "gltf.file",
-        "METRES": "plausibility",
-        "Rig": "rig",
-        "Skin": "gltf.skin",
-        "avatar_facts": "gltf.vrm",
-        "fit_body": "smpl.skeleton",
-        "frames_header": "frames",
-        "frames_rows": "frames",
-        "guess_unit": "plausibility",
-        "load_events": "tables.events",
-        "load_root_path": "tables.root_path",
-        "load_semantics": "tables.semantics",
-        "mean_body": "smpl.skeleton",
-        "model_pelvis": "smpl.skeleton",
-        "motions_in": "sources",
-        "our_names": "gltf.vrm",
-        "plausibility_warnings": "plausibility",
-        "read_avatar": "gltf.vrm",
-        "smpl_skeleton": "smpl.skeleton",
-        "visible_folders": "sources",
-        "whole_weights": "gltf.skin",
-    },
-)[1]
+_OTHERS = {
+    "gltf.file": "Gltf",
+    "gltf.skin": "Skin whole_weights",
+    "gltf.vrm": "avatar_facts our_names read_avatar",
+    "npz": "frames_header frames_rows",
+    "plausibility": "METRES guess_unit plausibility_warnings",
+    "smpl": "Rig fit_body mean_body model_pelvis smpl_skeleton",
+    "sources": "motions_in visible_folders",
+    "tables": "Event load_events load_root_path load_semantics",
+}
+__getattr__ = attach(__name__, {}, by_name(_OTHERS))[1]

@@ -10,15 +10,15 @@ axis for that up.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.errors import FormatError
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import BodyParts, find_parts, leg_length
+from gesturekit.motion.parts import BodyParts, known_parts, leg_length
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -63,6 +63,12 @@ class FileAxes:
     guessed: tuple[str, ...] = ()
 
 
+def check_up(up: str) -> None:
+    """Raise FormatError for an up axis that SMPL files do not have, and that is not "auto"."""
+    if up not in ("auto", *UP_TO_Y):
+        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
+
+
 def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAxes:
     """Return the axes of a motion, as given or, if "auto", as detected.
 
@@ -72,19 +78,19 @@ def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAx
     for name, axis in (("up", up), ("forward", forward)):
         if axis != "auto" and axis not in AXES:
             raise FormatError(f"{name} axis {axis!r}; expected auto, {', '.join(AXES)}")
-    found, standing = _evidence(motion) if "auto" in (up, forward) else (None, None)
+    rest, standing = _evidence(motion) if "auto" in (up, forward) else (None, None)
     if forward != "auto":
-        likely = (up,) if up != "auto" else (found and found[0], standing, "y", "z")
+        likely = (up,) if up != "auto" else (rest and rest[0], standing, "y", "z")
         up = next((axis for axis in likely if axis and axis[-1] != forward[-1]), up)
         return FileAxes(up, forward)
     if up != "auto":
-        if found and found[0] == up:
-            return FileAxes(*found)
+        if rest and rest[0] == up:
+            return FileAxes(*rest)
         return FileAxes(up, USUAL_FORWARD[up], guessed=("forward",))
-    if found and standing in (None, found[0]):
-        return FileAxes(*found)
+    if rest and standing in (None, rest[0]):
+        return FileAxes(*rest)
     if standing:
-        return FileAxes(standing, USUAL_FORWARD[standing], found, ("forward",))
+        return FileAxes(standing, USUAL_FORWARD[standing], rest, ("forward",))
     return FileAxes("y", "z", guessed=("up", "forward"))
 
 
@@ -165,9 +171,8 @@ def _axis(vector: np.ndarray) -> str | None:
 
 def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
     """Return (up, forward) of the rest pose, and the axis along which the body stands."""
-    try:
-        parts = find_parts(motion.skeleton)
-    except MotionError:
+    parts = known_parts(motion.skeleton)
+    if parts is None:
         return None, None
     rest = _rest_axes(motion.skeleton, parts)
     return rest, _standing(motion, parts, rest and rest[0])
@@ -176,21 +181,17 @@ def _evidence(motion: Motion) -> tuple[tuple[str, str] | None, str | None]:
 def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     """Return (up, forward) of the rest pose; None if it does not stand or is contradictory."""
     rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
-    places = forward_kinematics(rest, np.zeros(3), skeleton)
-
-    def between(start: str, end: str) -> np.ndarray:
-        return places[skeleton.index(end)] - places[skeleton.index(start)]
-
-    arms = [parts.arms[side] for side in ("left", "right")]
-    if not parts.legs:
-        return _upper_body_axes(between, parts)
-    legs = [parts.legs[side] for side in ("left", "right")]
-    up = _axis(between(parts.pelvis, parts.head or parts.spine[-1]))
-    down = [-between(leg.hip, leg.ankle) for leg in legs]
-    left = _axis(between(legs[1].hip, legs[0].hip))
+    at = dict(zip(skeleton.names, forward_kinematics(rest, np.zeros(3), skeleton)))
+    arms, legs = list(parts.arms.values()), list(parts.legs.values())
+    chest = at[parts.spine[-1]]
+    if not legs:
+        return _upper_body_axes(at, parts)
+    up = _axis((at[parts.head] if parts.head else chest) - at[parts.pelvis])
+    down = [at[leg.hip] - at[leg.ankle] for leg in legs]
+    left = _axis(at[legs[0].hip] - at[legs[1].hip])
     # If all four limbs point the same way, perpendicular to the trunk, it is a quadruped.
-    trunk = between(parts.pelvis, parts.spine[-1])
-    fore = [-between(arm.shoulder, arm.wrist or arm.elbow) for arm in arms]
+    trunk = chest - at[parts.pelvis]
+    fore = [at[arm.shoulder] - at[arm.wrist or arm.elbow] for arm in arms]
     risen = _axis(down[0] + down[1])
     if risen and all(_vector(risen) @ limb > 0.8 * np.linalg.norm(limb) for limb in down + fore):
         forward = _axis(trunk - (trunk @ _vector(risen)) * _vector(risen))
@@ -203,28 +204,25 @@ def _rest_axes(skeleton: Skeleton, parts: BodyParts) -> tuple[str, str] | None:
     if left is None or left[-1] == up[-1]:
         return None
     forward = _axis(np.cross(_vector(left), _vector(up)))
-    toes = [between(leg.ankle, leg.toe) for leg in legs if leg.toe]
+    toes = [at[leg.toe] - at[leg.ankle] for leg in legs if leg.toe]
     if forward is None or any(_vector(forward) @ toe < -1e-3 * np.linalg.norm(toe) for toe in toes):
         return None  # left and right may be named the wrong way round
     return up, forward
 
 
-def _upper_body_axes(
-    between: Callable[[str, str], np.ndarray], parts: BodyParts
-) -> tuple[str, str] | None:
+def _upper_body_axes(at: Mapping[str, np.ndarray], parts: BodyParts) -> tuple[str, str] | None:
     """Return (up, forward) of a rest pose without legs; None if spine, neck and arms disagree.
 
-    `between` gives the vector (3,) from one joint to another.
+    `at` are the places (3,) of the joints.
     """
     left_arm, right_arm = parts.arms["left"], parts.arms["right"]
-    left = _axis(between(right_arm.shoulder, left_arm.shoulder))
-    spans = [(parts.pelvis, parts.spine[-1])]
-    spans += [(parts.spine[-1], parts.head)] if parts.head else []
-    ups = {_axis(between(*span)) for span in spans}
+    left = _axis(at[left_arm.shoulder] - at[right_arm.shoulder])
+    trunk = [parts.pelvis, parts.spine[-1], *([parts.head] if parts.head else [])]
+    ups = {_axis(at[above] - at[below]) for below, above in zip(trunk, trunk[1:])}
     up = ups.pop()
     if ups or up is None or left is None or left[-1] == up[-1]:
         return None
-    outward = [between(arm.shoulder, arm.elbow) @ _vector(left) for arm in (left_arm, right_arm)]
+    outward = [(at[arm.elbow] - at[arm.shoulder]) @ _vector(left) for arm in (left_arm, right_arm)]
     if outward[0] < 0 or outward[1] > 0:
         return None  # left and right may be named the wrong way round
     forward = _axis(np.cross(_vector(left), _vector(up)))

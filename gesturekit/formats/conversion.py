@@ -19,26 +19,6 @@ _IN = {name: f"in-{name}" for name in ("unit", "up", "forward")}
 _OF_ANY_FORMAT = ("fps", "height")
 
 
-def refuse_unused_options(
-    read: Mapping[str, Any],
-    write: Mapping[str, Any],
-    body_model: str | os.PathLike[str] | None,
-    sources: Iterable[Path],
-    targets: Iterable[Path],
-) -> None:
-    """Refuse options that no reader of the sources and no writer of the targets has.
-
-    Raises:
-        ConfigError: an option would have no effect.
-    """
-    found, written = ({format_of(path) for path in paths} for paths in (sources, targets))
-    refuse_unused_read_options(read, found)
-    _refuse_unused(write, "written", (WRITE_OPTIONS, written))
-    if body_model is not None:
-        model = {"body_model": body_model}
-        _refuse_unused(model, "converted", (READ_OPTIONS, found), (WRITE_OPTIONS, written))
-
-
 def load(
     source: Path, options: Mapping[str, Any], parts: Mapping[str, str] | None = None
 ) -> Motion:
@@ -54,9 +34,10 @@ def load(
         FormatError: it cannot be read.
         MotionError: `parts` names a joint that does not exist.
     """
-    if format_of(source) in OTHER_MOTION_SUFFIXES and format_of(source) not in READ_OPTIONS:
+    kind = format_of(source)
+    if kind in OTHER_MOTION_SUFFIXES and kind not in READ_OPTIONS:
         raise FormatError(f"{source}: {unreadable_media(source)}")
-    known = READ_OPTIONS.get(format_of(source), ())
+    known = READ_OPTIONS.get(kind, ())
     motion = Motion.load(source, **{name: options[name] for name in options if name in known})
     motion = motion.with_parts(parts or {})
     if "height" in options:
@@ -81,14 +62,71 @@ def applicable_read_options(source: Path, options: Mapping[str, Any]) -> dict[st
     return {name: value for name, value in options.items() if name in known}
 
 
+def applicable_write_options(kind: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the `options` of writers that the writer of a format ("bvh") has."""
+    known = WRITE_OPTIONS.get(f".{kind.lower()}", ())
+    return {name: value for name, value in options.items() if name in known}
+
+
+def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return, for each format, the options that its writer has: {"bvh": {"unit": "m"}}.
+
+    Raises:
+        ConfigError: an option that none of the formats has.
+    """
+    _refuse_unused(options, "written", (WRITE_OPTIONS, {f".{name}" for name in formats}))
+    return {kind: applicable_write_options(kind, options) for kind in formats}
+
+
+def refuse_unused_options(
+    read: Mapping[str, Any],
+    write: Mapping[str, Any],
+    body_model: str | os.PathLike[str] | None,
+    sources: Iterable[Path],
+    formats: Iterable[str],
+) -> None:
+    """Refuse options that no reader of the sources and no writer of the formats has.
+
+    Raises:
+        ConfigError: an option would have no effect.
+    """
+    reads = {format_of(path) for path in sources}
+    writes = WRITE_OPTIONS, {f".{name}" for name in formats}
+    refuse_unused_read_options(read, reads)
+    _refuse_unused(write, "written", writes)
+    if body_model is not None:
+        _refuse_unused(["body_model"], "converted", (READ_OPTIONS, reads), writes)
+
+
 def refuse_unused_read_options(options: Mapping[str, Any], formats: set[str]) -> None:
     """Refuse options of `load` that no reader of these formats (suffixes) has.
 
     Raises:
         ConfigError: an option would have no effect.
     """
-    chosen = {name: value for name, value in options.items() if name not in _OF_ANY_FORMAT}
-    _refuse_unused(chosen, "read", (READ_OPTIONS, formats))
+    names = [name for name in options if name not in _OF_ANY_FORMAT]
+    _refuse_unused(names, "read", (READ_OPTIONS, formats))
+
+
+def _refuse_unused(
+    options: Iterable[str], verb: str, *uses: tuple[Mapping[str, Collection[str]], set[str]]
+) -> None:
+    """Raise ConfigError for an option that none of the formats has.
+
+    Args:
+        options: their names.
+        verb: what is done with the formats: "read", "written" or "converted".
+        uses: pairs of a table of options by format, and the formats that are read or written.
+    """
+    formats = {form for _, used in uses for form in used}
+    for name in options if formats else ():
+        fitting = [form for table, _ in uses for form, known in table.items() if name in known]
+        if not any(name in table.get(form, ()) for table, used in uses for form in used):
+            option = f"--{_IN.get(name, name) if verb == 'read' else name}".replace("_", "-")
+            raise ConfigError(
+                f"{option} is an option of {', '.join(dict.fromkeys(fitting))}; only "
+                f"{', '.join(sorted(formats))} is {verb}"
+            )
 
 
 def describe_axes(info: Mapping[str, Any], guessed: str) -> list[str]:
@@ -99,44 +137,3 @@ def describe_axes(info: Mapping[str, Any], guessed: str) -> list[str]:
             value = info[key] if key == "unit" else info[key].upper()
             words.append(text.format(value) + (guessed if key in info.get("guessed", ()) else ""))
     return words
-
-
-def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return, for each format, the options that its writer has: {"bvh": {"unit": "m"}}.
-
-    Raises:
-        ConfigError: an option that none of the formats has.
-    """
-    _refuse_unused(options, "written", (WRITE_OPTIONS, {f".{name}" for name in formats}))
-    return {
-        name: {key: options[key] for key in options if key in WRITE_OPTIONS.get(f".{name}", ())}
-        for name in formats
-    }
-
-
-def _refuse_unused(
-    options: Mapping[str, Any], verb: str, *uses: tuple[Mapping[str, Collection[str]], set[str]]
-) -> None:
-    """Raise ConfigError for an option that none of the formats has.
-
-    Args:
-        options: by name.
-        verb: what is done with the formats: "read", "written" or "converted".
-        uses: pairs of a table of options by format, and the formats that are read or written.
-    """
-    formats = {form for _, used in uses for form in used}
-    for name in options:
-        fitting = [form for table, _ in uses for form, known in table.items() if name in known]
-        has = any(name in table.get(form, ()) for table, used in uses for form in used)
-        if formats and not has:
-            option = f"--{_IN.get(name, name) if verb == 'read' else name}".replace("_", "-")
-            raise ConfigError(
-                f"{option} is an option of {', '.join(dict.fromkeys(fitting))}; only "
-                f"{', '.join(sorted(formats))} is {verb}"
-            )
-
-
-def applicable_write_options(target: Path, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the `options` of writers that have an effect on this target."""
-    known = WRITE_OPTIONS.get(format_of(target), ())
-    return {name: value for name, value in options.items() if name in known}

@@ -3,19 +3,24 @@
 Native keys (format 1): `gk_version, names, parents, offsets, rotation_orders, end_site_joints,
 end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and if known
 `parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model, expressions`. Files of
-SMPL rigs also have the keys of `smpl.amass`.
+SMPL rigs also have the keys of `amass`.
 
 Compatibility: the defaults suit the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the
 tools around BEAT2. The add-on's format AMASS needs `up="z"`. aitviewer
 (`SMPLSequence.from_amass`) and AMASS readers need `rig="smplh", up="z"`, because they expect the
 finger joints in the order of SMPL-H.
+
+A recording that did not end is a file of frames: a line of JSON with `format` (1), `fps`,
+`skeleton` (as in a model folder) and `moving`, the joints with translations of their own, then one
+row of float64, little endian, a frame: the root's position, the quaternions xyzw of all joints, and
+the positions of the moving ones. It may end anywhere: whole rows are read.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +29,26 @@ import numpy as np
 from audio_features.archive import Archive, open_archive
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import UP_TO_Y
-from gesturekit.formats.smpl.amass import from_amass, read_shape, to_amass, with_expressions
-from gesturekit.formats.smpl.seamless import from_seamless
-from gesturekit.formats.smpl.skeleton import RIGS, as_smpl, fit_body, is_smpl
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.formats.amass import (
+    from_amass,
+    from_seamless,
+    read_number,
+    read_shape,
+    to_amass,
+    with_expressions,
+)
+from gesturekit.formats.axes import UP_TO_Y, check_up
+from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 
 NPZ_FORMAT = 1
 _MAX_JOINTS = 2000
+_NATIVE = (
+    "'names', 'parents', 'offsets', 'rotation_orders', 'end_site_offsets', 'rotations', "
+    "'translation', 'joint_translations', 'fps'"
+)
 
 
 def read_npz(
@@ -58,8 +73,7 @@ def read_npz(
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
     """
     path = Path(path)
-    if up not in ("auto", *UP_TO_Y):
-        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
+    check_up(up)
     with open_archive(path, FormatError) as archive:
         try:
             if "v_template" in archive and "poses" not in archive:
@@ -71,12 +85,17 @@ def read_npz(
                 raise FormatError(
                     f"{path}: speech features (keys 'values', 'times', 'spec'), not a motion"
                 )
+            keys = "'poses', 'trans', 'mocap_frame_rate'"
             if "gk_version" in archive:
+                keys = _NATIVE
                 motion = _from_native(archive)
             elif "smplh:body_pose" in archive:
+                keys = "'smplh:…'"
                 motion = from_seamless(archive)
             else:
                 motion = from_amass(archive, up)
+        except MotionError as error:
+            raise FormatError(f"{path}: keys {keys}: {error}") from None
         except (TypeError, ValueError, IndexError, OverflowError) as error:
             text = str(error)
             raise FormatError(text if text.startswith(str(path)) else f"{path}: {text}") from None
@@ -178,53 +197,48 @@ def _from_native(archive: Archive) -> Motion:
             f"{NPZ_FORMAT}"
         )
     names = tuple(archive.texts("names", _MAX_JOINTS))
+
+    def by_joint(joints_key: str, key: str, values: Any) -> list[tuple[str, Any]]:
+        """Return (joint name, value); the array `joints_key` has the joint index of each value."""
+        joints = _indices(archive, joints_key, 0, len(names))
+        if not np.ndim(values) or len(values) != len(joints):
+            shape = np.shape(values)
+            raise FormatError(f"key {key!r} has shape {shape}, but {joints_key!r} {len(joints)}")
+        return [(names[joint], value) for joint, value in zip(joints, values)]
+
     ends: dict[str, list[np.ndarray]] = {}
     sites = archive.numbers("end_site_offsets")
-    for name, site in _by_joint(archive, "end_site_joints", "end_site_offsets", sites, names):
+    for name, site in by_joint("end_site_joints", "end_site_offsets", sites):
         ends.setdefault(name, []).append(site)
     parts: dict[str, str] = {}
     if "parts_by_hand" in archive:
         by_hand = archive.texts("parts_by_hand", _MAX_JOINTS)
-        found = _by_joint(archive, "part_joints", "parts_by_hand", by_hand, names)
-        parts = {part: name for name, part in found}
+        parts = {part: name for name, part in by_joint("part_joints", "parts_by_hand", by_hand)}
     pelvis = archive.numbers("body_pelvis") if "body_pelvis" in archive else None
     if pelvis is not None and (pelvis.shape != (3,) or not np.isfinite(pelvis).all()):
         raise FormatError(f"key 'body_pelvis' has shape {pelvis.shape}; expected three numbers")
-    try:
-        skeleton = Skeleton(
-            names=names,
-            parents=tuple(_indices(archive, "parents", -1, len(names))),
-            offsets=archive.numbers("offsets"),
-            end_sites=ends,
-            rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
-            parts=parts,
-            body_shape=read_shape(archive, "body_betas", pelvis),
-        )
-    except MotionError as error:
-        raise FormatError(
-            f"keys 'names', 'parents', 'offsets', 'rotation_orders', 'end_site_offsets': {error}"
-        ) from None
+    skeleton = Skeleton(
+        names=names,
+        parents=tuple(_indices(archive, "parents", -1, len(names))),
+        offsets=archive.numbers("offsets"),
+        end_sites=ends,
+        rotation_orders=tuple(archive.texts("rotation_orders", _MAX_JOINTS)),
+        parts=parts,
+        body_shape=read_shape(archive, "body_betas", pelvis),
+    )
     places = archive.numbers("joint_translations")
-    moving = dict(_by_joint(archive, "moving_joints", "joint_translations", places, names))
-    fps = archive.numbers("fps")
-    if fps.size != 1:
-        raise FormatError(f"key 'fps' has shape {fps.shape}; expected one number")
-    try:
-        motion = Motion(
-            skeleton=skeleton,
-            rotations=archive.numbers("rotations"),
-            translation=archive.numbers("translation"),
-            fps=fps.item(),
-            joint_translations=moving,
-        )
-    except MotionError as error:
-        raise FormatError(
-            f"keys 'rotations', 'translation', 'joint_translations', 'fps': {error}"
-        ) from None
+    moving = dict(by_joint("moving_joints", "joint_translations", places))
+    motion = Motion(
+        skeleton=skeleton,
+        rotations=archive.numbers("rotations"),
+        translation=archive.numbers("translation"),
+        fps=read_number(archive, "fps"),
+        joint_translations=moving,
+    )
     if pelvis is not None:
         (up,) = archive.texts("body_up") or ["y"]
         motion.info["up"] = up if up in UP_TO_Y else "y"
-    return with_expressions(motion, archive) if "expressions" in archive else motion
+    return with_expressions(motion, archive)
 
 
 def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
@@ -240,14 +254,52 @@ def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
     return values.tolist()
 
 
-def _by_joint(
-    archive: Archive, joints_key: str, key: str, values: Any, names: tuple[str, ...]
-) -> Iterator[tuple[str, Any]]:
-    """Yield (joint name, value); the array `joints_key` has the joint index of each value."""
-    joints = _indices(archive, joints_key, 0, len(names))
-    n_values = len(values) if np.ndim(values) else None
-    if n_values != len(joints):
-        count = "one number" if n_values is None else f"{n_values} entries"
-        raise FormatError(f"key {key!r} has {count}, but {joints_key!r} has {len(joints)}")
-    for joint, value in zip(joints, values):
-        yield names[joint], value
+_FORMAT = 1
+_LONGEST_HEADER = 1 << 22
+
+
+def frames_header(motion: Motion) -> bytes:
+    """Return the first line of a file of such motion."""
+    about = {"format": _FORMAT, "fps": motion.fps, "skeleton": motion.skeleton.to_json()}
+    return json.dumps({**about, "moving": list(motion.joint_translations)}).encode() + b"\n"
+
+
+def frames_rows(motion: Motion) -> bytes:
+    """Return a motion's numbers as rows (T, D), one a frame."""
+    turns = motion.rotations.reshape(motion.n_frames, -1)
+    columns = [motion.translation, turns, *motion.joint_translations.values()]
+    return np.concatenate(columns, axis=1).astype("<f8").tobytes()
+
+
+def read_frames(path: str | os.PathLike[str]) -> Motion:
+    """Read what a recording has written so far; its numbers stay on disk.
+
+    Raises:
+        FormatError: no such file, a damaged one, of a newer format, or without a whole frame.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            about = json.loads(line := file.readline(_LONGEST_HEADER))
+            if (version := about["format"]) != _FORMAT:
+                raise FormatError(f"format {version!r}; this version of gesturekit reads {_FORMAT}")
+            if len(about["skeleton"]["names"]) > _MAX_JOINTS:
+                raise FormatError(f"over {_MAX_JOINTS} joints")
+            skeleton, moving = Skeleton.from_json(about["skeleton"]), list(about["moving"])
+            ends = 3 + 4 * skeleton.n_joints
+            width = ends + 3 * len(moving)
+            n_frames = (os.fstat(file.fileno()).st_size - len(line)) // (8 * width)
+            if not n_frames:
+                raise FormatError("no whole frame")
+            rows = np.memmap(file, "<f8", "r", len(line), (n_frames, width))
+        turns = rows[:, 3:ends].reshape(n_frames, -1, 4)
+        starts = range(ends, width, 3)
+        places = {name: rows[:, at : at + 3] for name, at in zip(moving, starts)}
+        motion = Motion(skeleton, turns, rows[:, :3], about["fps"], places)
+    except KeyError as error:
+        raise FormatError(f"{path}: the frames of a recording lack the field {error}") from None
+    except (OSError, ValueError, TypeError, RecursionError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise FormatError(f"{path}: not the frames of a recording: {reason}") from None
+    motion.info["source"] = str(path)
+    return motion

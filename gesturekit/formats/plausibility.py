@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.formats.axes import standing_axis
-from gesturekit.formats.frame_rate import COMMON_RATES
 from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.parts.body_size import body_height, first_fork, stature
+from gesturekit.motion.resampling import COMMON_RATES
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import listed
 
@@ -30,11 +31,11 @@ def plausibility_warnings(motion: Motion, reading: Mapping[str, Any]) -> list[st
         motion: the motion as read.
         reading: options it was read with, see `gesturekit.formats.conversion.load`.
     """
-    found = []
+    lines = []
     if "fps" not in reading and not SLOWEST <= motion.fps <= FASTEST:
-        found.append(_rate(motion))
+        lines.append(_rate(motion))
     if keys := motion.info.get("unread_hands"):
-        found.append(
+        lines.append(
             f"fingers are still: {listed(keys, 4)} are not read; write them into 'poses' of SMPL-X "
             "as rotation vectors: PCA coefficients (T, N) of the left hand are poses[:, 75:120] = "
             "pca @ hands_componentsl[:N] + hands_meanl, with arrays of the SMPL-X model file; the "
@@ -42,21 +43,22 @@ def plausibility_warnings(motion: Motion, reading: Mapping[str, Any]) -> list[st
         )
     bones = motion.skeleton.offsets[1:]
     if len(bones) and not bones.any():
-        return [*found, "all bones have length 0: there is no body to see or to measure"]
+        return [*lines, "all bones have length 0: there is no body to see or to measure"]
     named = [name for name in ("unit", "height") if name in reading]
-    if named and (height := _height(motion)) and not SMALLEST <= height <= TALLEST:
-        option = {"unit": "--in-unit", "height": "--height"}[named[-1]]
-        found.append(f"{option} {reading[named[-1]]} makes the body {height:.2f} m tall")
+    with suppress(MotionError):  # a rig without height
+        if named and not SMALLEST <= (height := body_height(motion.skeleton)) <= TALLEST:
+            option = {"unit": "--in-unit", "height": "--height"}[named[-1]]
+            lines.append(f"{option} {reading[named[-1]]} makes the body {height:.2f} m tall")
     if "up" in reading and standing_axis(motion) not in (None, "y"):
-        found.append(
+        lines.append(
             f"--in-up {reading['up']} lays the body down; without it the file's own axis is found"
         )
     if _toes_point_backwards(motion):
-        found.append(
+        lines.append(
             "the toes point backwards, as left and right are named: did the export mirror the body "
             "(left-handed axes), or swap the names? Export it again"
         )
-    return found
+    return lines
 
 
 def _toes_point_backwards(motion: Motion) -> bool:
@@ -75,13 +77,6 @@ def _toes_point_backwards(motion: Motion) -> bool:
     along = (feet * forward).sum(axis=-1)
     lengths = np.linalg.norm(feet, axis=-1) * np.linalg.norm(forward, axis=-1)
     return bool((along.mean(axis=0) < -0.5 * lengths.mean(axis=0)).all())
-
-
-def _height(motion: Motion) -> float | None:
-    try:
-        return body_height(motion.skeleton)
-    except MotionError:
-        return None
 
 
 def _rate(motion: Motion) -> str:

@@ -1,23 +1,30 @@
-"""Registry of motion formats: one entry a format, from which every list of formats is made."""
+"""Registry of motion formats: one entry a format, from which every list of formats is made.
+
+Also the kinds of other files, from their first bytes and whatever their suffixes.
+"""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Set
+from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import FormatError
+from gesturekit.wording import listed
 
 FOLDER = "EasyMocap"
 """Stands for a suffix where a folder is one motion."""
 
-_CURVES = frozenset({"animation", "unit", "up", "forward", "fps"})
-_BODY = frozenset({"body", "body_model"})
-_SEQUENCE = frozenset({"up", "fps", "person", "body_model"})
+_CURVES = {"animation", "unit", "up", "forward", "fps"}
+_BODY = {"body", "body_model"}
+_SEQUENCE = {"up", "fps", "person", "body_model"}
+_GLTF, _EASYMOCAP = "formats.gltf.reading:read_gltf", "formats.easymocap:read_easymocap"
+_PICTURE = "viewer:write_picture"
 
 
 @dataclass(frozen=True)
@@ -26,81 +33,48 @@ class Format:
 
     Attributes:
         suffix: of the files, or `FOLDER`.
-        reader, writer: "module:function", imported on first use; None if there is none.
+        reader, writer: "module:function" in gesturekit, imported on first use; None without one.
         reads, writes: options of reader and writer that commands offer.
         searched: whether such files are searched for in folders.
     """
 
     suffix: str
-    reader: str | None = None
-    writer: str | None = None
-    reads: frozenset[str] = field(default_factory=frozenset)
-    writes: frozenset[str] = field(default_factory=frozenset)
+    reader: str | None
+    writer: str | None
+    reads: Set[str] = frozenset()
+    writes: Set[str] = frozenset()
     searched: bool = False
 
 
 FORMATS = (
     Format(
         ".bvh",
-        "gesturekit.formats.bvh.bvh:read_bvh",
-        "gesturekit.formats.bvh.bvh:write_bvh",
-        reads=frozenset({"unit", "up", "forward", "fps"}),
-        writes=frozenset({"unit"}),
+        "formats.bvh:read_bvh",
+        "formats.bvh:write_bvh",
+        {"unit", "up", "forward", "fps"},
+        {"unit"},
         searched=True,
     ),
     Format(
         ".npz",
-        "gesturekit.formats.npz:read_npz",
-        "gesturekit.formats.npz:write_npz",
-        reads=frozenset({"up", "body_model"}),
-        writes=frozenset({"up"}),
+        "formats.npz:read_npz",
+        "formats.npz:write_npz",
+        {"up", "body_model"},
+        {"up"},
         searched=True,
     ),
-    *(
-        Format(
-            suffix,
-            "gesturekit.formats.gltf.reading:read_gltf",
-            writer,
-            reads=_CURVES,
-            writes=_BODY if suffix == ".glb" else frozenset(),
-            searched=suffix != ".vrm",  # an avatar, which has no motion: a rig
-        )
-        for suffix, writer in (
-            (".glb", "gesturekit.viewer:write_glb"),
-            (".gltf", None),
-            (".vrm", None),
-            (".vrma", "gesturekit.viewer:write_vrma"),
-        )
-    ),
-    Format(
-        ".fbx",
-        "gesturekit.formats.fbx:read_fbx",
-        "gesturekit.viewer:write_fbx",
-        reads=_CURVES,
-        writes=_BODY,
-    ),
-    Format(".frames", "gesturekit.formats.frames:read_frames"),
-    Format(".json", "gesturekit.formats.smpl.easymocap:read_easymocap", reads=_SEQUENCE),
-    Format(FOLDER, "gesturekit.formats.smpl.easymocap:read_easymocap", reads=_SEQUENCE),
-    Format(
-        ".html",
-        writer="gesturekit.viewer:write_html",
-        writes=frozenset({"body", "body_model", "framing"}),
-    ),
-    Format(
-        ".mp4",
-        writer="gesturekit.viewer:write_video",
-        writes=frozenset({"body", "body_model", "framing", "size", "fps"}),
-    ),
-    *(
-        Format(suffix, writer="gesturekit.viewer:write_picture", writes=frozenset({"body"}))
-        for suffix in (".png", ".svg", ".pdf")
-    ),
-    Format(
-        ".obj",
-        writer="gesturekit.formats.obj:write_obj",
-        writes=frozenset({"body_model", "frame"}),
-    ),
+    Format(".glb", _GLTF, "viewer:write_glb", _CURVES, _BODY, searched=True),
+    Format(".gltf", _GLTF, None, _CURVES, searched=True),
+    Format(".vrm", _GLTF, None, _CURVES),  # an avatar, which has no motion: a rig
+    Format(".vrma", _GLTF, "viewer:write_vrma", _CURVES, searched=True),
+    Format(".fbx", "formats.fbx:read_fbx", "viewer:write_fbx", _CURVES, _BODY),
+    Format(".frames", "formats.npz:read_frames", None),
+    Format(".json", _EASYMOCAP, None, _SEQUENCE),
+    Format(FOLDER, _EASYMOCAP, None, _SEQUENCE),
+    Format(".html", None, "viewer:write_html", writes=_BODY | {"framing"}),
+    Format(".mp4", None, "viewer:write_video", writes=_BODY | {"framing", "size", "fps"}),
+    *(Format(suffix, None, _PICTURE, writes={"body"}) for suffix in (".png", ".svg", ".pdf")),
+    Format(".obj", None, "formats.smpl:write_obj", writes={"body_model", "frame"}),
 )
 """All formats, in the order in which messages and help list them."""
 
@@ -149,23 +123,68 @@ def _function(
         kind = "a folder" if suffix == FOLDER else suffix or "a file without suffix"
         known = ", ".join("a folder" if each == FOLDER else each for each in table)
         raise FormatError(f"{path}: cannot {verb} motion as {kind}; expected {known}")
-    for option in options:
-        if option not in (own := _keywords(table[suffix])):
-            others = ", ".join(other for other in table if option in _keywords(table[other]))
-            raise FormatError(
-                f"{path}: {suffix} has no option {option!r} to {verb} it with, "
-                f"{f'only {others}' if others else 'nor has any other format'}; "
-                f"{suffix} has {', '.join(own) or 'no options'}"
-            )
+    known_options = _keywords(table[suffix])
+    for option in set(options).difference(known_options):
+        others = ", ".join(other for other in table if option in _keywords(table[other]))
+        raise FormatError(
+            f"{path}: {suffix} has no option {option!r} to {verb} it with, "
+            f"{f'only {others}' if others else 'nor has any other format'}; "
+            f"{suffix} has {', '.join(known_options) or 'no options'}"
+        )
     return load_function(table[suffix])
 
 
 def load_function(place: str) -> Callable[..., Any]:
     """Import and return the function of "module:function"."""
     module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
+    return getattr(import_module(f"gesturekit.{module}"), name)
 
 
 def _keywords(place: str) -> list[str]:
     parameters = signature(load_function(place)).parameters.values()
     return [each.name for each in parameters if each.default is not each.empty]
+
+
+A_JSON_FILE = "a JSON file"
+_SIGNATURES = {
+    b"HIERARCHY": "a BVH file",
+    b"RIFF": "a wav file",
+    b"fLaC": "a flac file",
+    b"OggS": "an ogg file",
+    b"PK\x03\x04": "a zip or npz file",
+    b"Kaydara FBX": "an FBX file",
+    b"\x93NUMPY": "an npy file",
+    b"glTF": "a glTF file",
+    b"; FBX": "an FBX file",
+    b"<": "an XML or HTML file",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"%PDF": "a PDF document",
+    b"{": A_JSON_FILE,
+}
+REPORT_IN_WORDS = "figures that gesturekit evaluate wrote (--json); --out FILE.html shows them"
+_REPORT = {"reference", "models", "definitions"}  # keys
+
+
+def kind_by_content(start: bytes) -> str | None:
+    """Return the kind of a file from its first 16 bytes or more; None if unknown."""
+    kinds = (kind for mark, kind in _SIGNATURES.items() if start.startswith(mark))
+    return next(kinds, None)
+
+
+def is_report(path: Path) -> bool:
+    """Return whether a JSON file holds the metrics of an evaluation."""
+    try:
+        return json_in_words(json.loads(path.read_text(encoding="utf-8"))) == REPORT_IN_WORDS
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def json_in_words(content: Any) -> str:
+    """Return a description of the content of a JSON file."""
+    if not isinstance(content, dict):
+        return f"a JSON {type(content).__name__}"
+    if content.keys() >= _REPORT:
+        return REPORT_IN_WORDS
+    keys = [ascii(key)[1:-1][:40] for key in content]
+    return f"a JSON object with {'the keys ' + listed(keys) if keys else 'no keys'}"

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from audio_features.archive import open_archive
 from gesturekit.errors import ConfigError, FormatError
+from gesturekit.formats.easymocap import SUBFOLDERS
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.registry import MOTION_SUFFIXES
-from gesturekit.formats.smpl.easymocap import SUBFOLDERS
 from gesturekit.wording import listed
 
 SPEECH_SUFFIXES = (
@@ -64,11 +64,11 @@ def motions_here(here: Path, folders: list[str], files: Iterable[Path]) -> list[
 
     The subfolders of a sequence that are parts of it are removed from `folders`.
     """
-    found = list(filter(is_motion, files))
+    motions = list(filter(is_motion, files))
     if is_sequence(here):
-        found.insert(0, here)
+        motions.insert(0, here)
         folders[:] = [name for name in folders if name not in SUBFOLDERS]
-    return found
+    return motions
 
 
 def motions_of(source: Path) -> list[Path]:
@@ -79,11 +79,11 @@ def motions_of(source: Path) -> list[Path]:
     """
     if not source.is_dir() or is_sequence(source):
         return [source]
-    found = [path for path in motions_in(source) if not isinstance(path, OSError)]
-    copies, _ = one_of_two_formats(found)
-    if not found:
+    motions = [path for path in motions_in(source) if not isinstance(path, OSError)]
+    copies, _ = one_of_two_formats(motions)
+    if not motions:
         raise ConfigError(f"{source}: {NO_MOTION}")
-    return [path for path in found if path not in copies]
+    return [path for path in motions if path not in copies]
 
 
 def warn_unreadable(error: OSError) -> None:
@@ -136,18 +136,13 @@ def is_motion(path: Path) -> bool:
     """Return whether a file is a motion, by its suffix and the content of an npz or glTF file."""
     suffix = path.suffix.lower()
     if suffix in _GLTF:
-        return _is_animated(path)
+        try:
+            return "animations" in Gltf(path).json  # no mere mesh or avatar
+        except FormatError:
+            return True  # the reader reports the error
     if suffix == ".npz":
         return not (is_feature_file(path) or is_body_model(path))
     return suffix in MOTION_SUFFIXES
-
-
-def _is_animated(path: Path) -> bool:
-    """Return whether a glTF file is no mere mesh or avatar."""
-    try:
-        return "animations" in Gltf(path).json
-    except FormatError:
-        return True  # the reader reports the error
 
 
 def is_feature_file(path: Path) -> bool:

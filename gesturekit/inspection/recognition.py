@@ -8,8 +8,13 @@ from typing import Any
 
 from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.formats.registry import MOTION_SUFFIXES
-from gesturekit.formats.signatures import A_JSON_FILE, REPORT_IN_WORDS, is_report, kind_by_content
+from gesturekit.formats.registry import (
+    A_JSON_FILE,
+    MOTION_SUFFIXES,
+    REPORT_IN_WORDS,
+    is_report,
+    kind_by_content,
+)
 from gesturekit.formats.sources import (
     SPEECH_SUFFIXES,
     is_body_model,

@@ -20,8 +20,8 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.fbx import blender_command
-from gesturekit.formats.frames import frames_header, frames_rows, read_frames
 from gesturekit.formats.gltf.vrm import our_names
+from gesturekit.formats.npz import frames_header, frames_rows, read_frames
 from gesturekit.formats.registry import writer_of
 from gesturekit.motion import Motion
 from gesturekit.viewer.human import Fitting

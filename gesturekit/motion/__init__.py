@@ -1,68 +1,28 @@
 """Motion: skeletons, rotations, kinematics, body parts, contacts, mirroring."""
 
-from gesturekit.lazy import attach
+from gesturekit.lazy import attach, by_name
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 
 __all__ = ["Motion", "Skeleton"]
 
-__getattr__ = attach(
-    __name__,
-    {},
-    {
-        "BodyFrames": "retarget.body_frames",
-        "BodyModel": "body_model.model",
-        "BodyParts": "parts",
-        "BodyShape": "body_shape",
-        "FOOT_VERTICES": "body_model.model",
-        "FORWARD": "retarget.standing_pose",
-        "ForwardKinematics": "torch_kinematics",
-        "GROUND": "kinematics",
-        "ModelJoints": "model_joints",
-        "PointKinematics": "torch_kinematics",
-        "REFERENCE_SIZE": "parts.body_size",
-        "RootPath": "root_path",
-        "SIDES": "parts",
-        "arm_joints": "parts",
-        "body_frames": "retarget.body_frames",
-        "body_height": "parts.body_size",
-        "body_joints": "parts",
-        "body_scale": "parts.body_size",
-        "body_size": "parts.body_size",
-        "contact_labels": "contacts",
-        "find_legs": "parts",
-        "find_parts": "parts",
-        "first_moving_joint": "model_joints",
-        "floor_height": "contacts",
-        "follow_path": "root_path",
-        "foot_kinematics": "torch_kinematics",
-        "foot_points": "contacts",
-        "foot_positions": "contacts",
-        "forward_kinematics": "kinematics",
-        "global_rotations": "kinematics",
-        "invert_quaternions": "rotations",
-        "known_part_labels": "parts",
-        "left_right_pairs": "parts",
-        "leg_length": "parts",
-        "matrix_from_quaternion": "rotations",
-        "mean_quaternion": "rotations",
-        "multiply_quaternions": "rotations",
-        "normalize_quaternions": "rotations",
-        "parse_parts": "parts",
-        "part_labels": "parts",
-        "quaternion_from_euler": "rotations",
-        "quaternion_from_rotation_vector": "rotations",
-        "quaternion_from_sixd": "rotations",
-        "rotate_vectors": "rotations",
-        "rotation_angles": "rotations",
-        "rotation_vector_from_quaternion": "rotations",
-        "rotation_vector_to_matrix": "torch_kinematics",
-        "sixd_to_matrix": "torch_kinematics",
-        "standing_pose": "retarget.standing_pose",
-        "standing_rig": "retarget.standing_pose",
-        "stature": "parts.body_size",
-        "two_bone_ik": "ik.two_bone",
-        "unidentified": "parts",
-        "upper_body": "parts",
-    },
-)[1]
+_OTHERS = {
+    "body_model": "BodyModel FOOT_VERTICES",
+    "contacts": "contact_labels floor_height foot_points foot_positions",
+    "ik": "two_bone_ik",
+    "kinematics": "GROUND forward_kinematics global_rotations",
+    "model_joints": "ModelJoints first_moving_joint",
+    "parts": "BodyParts SIDES arm_joints body_joints find_legs find_parts known_part_labels "
+    "left_right_pairs leg_length parse_parts part_labels unidentified upper_body",
+    "parts.body_size": "REFERENCE_SIZE body_height body_scale body_size stature",
+    "retarget.body_frames": "BodyFrames body_frames",
+    "retarget.standing_pose": "FORWARD standing_pose standing_rig",
+    "root_path": "RootPath follow_path",
+    "rotations": "invert_quaternions matrix_from_quaternion mean_quaternion multiply_quaternions "
+    "normalize_quaternions quaternion_from_euler quaternion_from_rotation_vector "
+    "quaternion_from_sixd rotate_vectors rotation_angles rotation_vector_from_quaternion",
+    "skeleton": "BodyShape",
+    "torch_kinematics": "ForwardKinematics PointKinematics foot_kinematics "
+    "rotation_vector_to_matrix sixd_to_matrix",
+}
+__getattr__ = attach(__name__, {}, by_name(_OTHERS))[1]

@@ -55,26 +55,27 @@ def concatenate(motions: Sequence[Motion], blend: float = 0.3) -> Motion:
     if not 0 <= blend < math.inf:
         raise MotionError(f"blend is {blend!r}; expected seconds, 0 or more")
     first = motions[0]
-    parts = [first]
+    pieces = [first]
     for number, motion in enumerate(motions[1:], start=2):
         _check_rig(first, motion, number)
         motion = motion if motion.fps == first.fps else motion.resample(first.fps)
-        parts.append(_continued(parts[-1], motion, blend))
-    return stacked(parts)
+        pieces.append(_continued(pieces[-1], motion, blend))
+    return stacked(pieces)
 
 
-def stacked(parts: Sequence[Motion]) -> Motion:
+def stacked(pieces: Sequence[Motion]) -> Motion:
     """Return the frames of motions of one rig and frame rate, at least one, as they are."""
-    first = parts[0]
-    moving = {name for part in parts for name in part.joint_translations}
-    faces = [part.expressions for part in parts if part.expressions is not None]
-    alike = len(faces) == len(parts) and len({face.shape[1] for face in faces}) == 1
+    first = pieces[0]
+    moving = {name for piece in pieces for name in piece.joint_translations}
+    faces = [piece.expressions for piece in pieces if piece.expressions is not None]
+    alike = len(faces) == len(pieces) and len({face.shape[1] for face in faces}) == 1
     return replace(
         first,
-        rotations=np.concatenate([part.rotations for part in parts]),
-        translation=np.concatenate([part.translation for part in parts]),
+        rotations=np.concatenate([piece.rotations for piece in pieces]),
+        translation=np.concatenate([piece.translation for piece in pieces]),
         joint_translations={
-            name: np.concatenate([_local(part, name) for part in parts]) for name in moving
+            name: np.concatenate([piece.local_positions(name) for piece in pieces])
+            for name in moving
         },
         expressions=np.concatenate(faces) if alike else None,
         info=dict(first.info),
@@ -124,17 +125,18 @@ def eased(last: Motion, after: Motion, count: int) -> Motion:
     from_value, from_speed = 1 - 3 * s**2 + 2 * s**3, count * (s - 2 * s**2 + s**3)
 
     def decayed(ended: np.ndarray, values: np.ndarray) -> np.ndarray:
-        speed, own = ended[-1] - ended[0], values[min(1, len(values) - 1)] - values[0]
+        speed = ended[-1] - ended[0]
+        lost = speed - (values[min(1, len(values) - 1)] - values[0])
         values = values.copy()
-        values[:count] += from_value * (ended[-1] + speed - values[0]) + from_speed * (speed - own)
+        values[:count] += from_value * (ended[-1] + speed - values[0]) + from_speed * lost
         return values
 
     names = {*last.joint_translations, *after.joint_translations}
     rotations = after.rotations.copy()
-    speed, own = (_turn(q[0], q[min(1, len(q) - 1)]) for q in (last.rotations[-2:], rotations))
+    speed, own_turn = (_turn(q[0], q[min(1, len(q) - 1)]) for q in (last.rotations[-2:], rotations))
     start = multiply_quaternions(quaternion_from_rotation_vector(speed), last.rotations[-1])
     offset = _turn(rotations[0], start)
-    carried = rotate_vectors(quaternion_from_rotation_vector(offset), own)
+    carried = rotate_vectors(quaternion_from_rotation_vector(offset), own_turn)
     s = s[..., None]
     turns = from_value[..., None] * offset + from_speed[..., None] * (speed - carried)
     rotations[:count] = multiply_quaternions(
@@ -145,7 +147,7 @@ def eased(last: Motion, after: Motion, count: int) -> Motion:
         rotations=rotations,
         translation=decayed(last.translation, after.translation),
         joint_translations={
-            name: decayed(_local(last, name), _local(after, name)) for name in names
+            name: decayed(last.local_positions(name), after.local_positions(name)) for name in names
         },
     )
 
@@ -199,12 +201,6 @@ def with_root(motion: Motion, root: int, place: np.ndarray, world: np.ndarray) -
     local = rotate_vectors(back, place - motion.positions()[:, parent])
     moving = {**motion.joint_translations, motion.skeleton.names[root]: local}
     return replace(motion, rotations=rotations, joint_translations=moving)
-
-
-def _local(motion: Motion, name: str) -> np.ndarray:
-    """(T, 3) positions of a joint in its parent's frame, metres."""
-    rest = motion.skeleton.offsets[motion.skeleton.index(name)]
-    return motion.joint_translations.get(name, np.tile(rest, (motion.n_frames, 1)))
 
 
 def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:

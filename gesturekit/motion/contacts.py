@@ -9,8 +9,7 @@ import numpy as np
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, Leg, find_legs
-from gesturekit.motion.parts.body_size import body_scale
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts.body_size import body_scale, real_end_sites
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
@@ -35,7 +34,7 @@ def foot_points(skeleton: Skeleton) -> tuple[FootPoint, ...]:
 
     The heel is the ankle joint. The toe is the toe joint, or without one the farthest end of the
     foot (a leaf or an end site on the ankle); without that there is no toe point. Implausible end
-    sites are ignored (`end_sites`).
+    sites are ignored (`real_end_sites`).
 
     A rig from a body model (`BodyModel.rig`) has its big toe, small toe and heel vertices as end
     sites of the foot joints. A foot with three or more end sites uses these instead. Each is fixed

@@ -64,27 +64,13 @@ class Pops:
 def find_jumps(motion: Motion) -> Jumps | None:
     """Return the frames at which a joint has moved faster than `MAX_SPEED` in world space, or
     None."""
-    steps, limit = _steps(motion)
+    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=2) * motion.fps
+    limit = MAX_SPEED * body_scale(motion.skeleton)
     frames = np.flatnonzero((steps > limit).any(axis=1)) + 1
     if len(frames) == 0:
         return None
     joint = int(np.unravel_index(steps.argmax(), steps.shape)[1])
     return Jumps(tuple(map(int, frames)), motion.skeleton.names[joint], float(steps.max()), limit)
-
-
-def defective_joints(motion: Motion) -> np.ndarray:
-    """Return (T, J) bool, the frames in which each joint jumps or pops."""
-    found = np.zeros((motion.n_frames, motion.skeleton.n_joints), bool)
-    steps, limit = _steps(motion)
-    found[1:] |= steps > limit
-    found[1:-1] |= _popping(motion)[0]
-    return found
-
-
-def _steps(motion: Motion) -> tuple[np.ndarray, float]:
-    """Return the speed (T - 1, J) of each joint since the frame before, and the limit, in m/s."""
-    steps = np.linalg.norm(np.diff(motion.positions(), axis=0), axis=2) * motion.fps
-    return steps, MAX_SPEED * body_scale(motion.skeleton)
 
 
 def speed_limit(limit: float) -> str:

@@ -76,17 +76,17 @@ def mirror(
             "mirrored; name limbs by hand (parts: left_elbow: JOINT, right_elbow: JOINT, ...)"
         )
     other = _counterparts(skeleton)
-    own = _reflections(skeleton, rotations, joint_translations, other)
-    parent = np.array([own[p] if p >= 0 else _WORLD for p in skeleton.parents])
+    kinds = _reflections(skeleton, rotations, joint_translations, other)
+    parent = np.array([kinds[p] if p >= 0 else _WORLD for p in skeleton.parents])
     mirrored = np.empty_like(rotations)
-    mirrored[:, other] = _reflected(rotations, parent, own)
+    mirrored[:, other] = _reflected(rotations, parent, kinds)
     offsets = np.empty_like(skeleton.offsets)
     offsets[other] = skeleton.offsets * _REFLECTIONS[parent]
     names, end_sites, moving = skeleton.names, {}, {}
     for j, name in enumerate(names):
         if name in skeleton.end_sites:
             sites = skeleton.end_sites[name]
-            end_sites[names[other[j]]] = tuple(site * _REFLECTIONS[own[j]] for site in sites)
+            end_sites[names[other[j]]] = tuple(site * _REFLECTIONS[kinds[j]] for site in sites)
         if name in joint_translations:
             moving[names[other[j]]] = joint_translations[name] * _REFLECTIONS[parent[j]]
     return (
@@ -114,10 +114,10 @@ def _counterparts(skeleton: Skeleton) -> np.ndarray:
     return other
 
 
-def _reflected(rotations: np.ndarray, parent: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _reflected(rotations: np.ndarray, parent: np.ndarray, kind: np.ndarray) -> np.ndarray:
     """Return S_p L S_j as quaternions (..., 4): the minus signs cancel and half turns remain."""
     turned = multiply_quaternions(_HALF_TURNS[parent], rotations)
-    return multiply_quaternions(turned, invert_quaternions(_HALF_TURNS[own]))
+    return multiply_quaternions(turned, invert_quaternions(_HALF_TURNS[kind]))
 
 
 def _reflections(
@@ -168,10 +168,10 @@ def _by_joint(
             total = cost[j].copy()
             if j != fork:
                 total += _CHANGE * (np.arange(4) != parent)
-                for own in range(4):
-                    mirrored = _reflected(rotations[:, j], np.array(parent), np.array(own))
+                for s in range(4):
+                    mirrored = _reflected(rotations[:, j], np.array(parent), np.array(s))
                     angle = rotation_angles(mirrored, rotations[:, other[j]])
-                    total[own] += np.quantile(angle, _ALIKE)
+                    total[s] += np.quantile(angle, _ALIKE)
             choice[j, parent] = total.argmin()
             if j != fork:
                 cost[skeleton.parents[j], parent] += total.min()

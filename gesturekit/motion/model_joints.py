@@ -14,7 +14,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import body_joints, find_legs, find_parts, leg_length
+from gesturekit.motion.parts import body_joints, find_legs, known_parts, leg_length
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     IDENTITY,
@@ -23,7 +23,7 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, checked
 
 _LARGEST = 1e6
 """Largest plausible size of a body, in reference bodies."""
@@ -41,7 +41,7 @@ class ModelJoints:
         fixed_translations: joint name to (3,), mean local positions that replace offsets, metres.
         scale: metres of the rig per metre of the reference body (`body_scale`). Lengths in motion
             vectors are those of the reference body, so that training does not depend on size or
-            unit of the rig; 1 in old models that did not store it.
+            unit of the rig.
     """
 
     skeleton: Skeleton
@@ -80,14 +80,11 @@ class ModelJoints:
         root = first_moving_joint(motions)
         wanted &= {skeleton.names[j] for j in skeleton.descendants(root)}
         wanted.add(skeleton.names[root])
-        order = [
-            root,
-            *(j for j, name in enumerate(skeleton.names) if name in wanted and j != root),
-        ]
+        others = [j for j, name in enumerate(skeleton.names) if name in wanted and j != root]
         moved = {name for motion in motions for name in motion.joint_translations}
         return {
             "skeleton": skeleton,
-            "joints": tuple(skeleton.names[j] for j in order),
+            "joints": tuple(skeleton.names[j] for j in (root, *others)),
             # Joint by joint, because rotations of a large corpus fill memory.
             "fixed_rotations": np.stack(
                 [
@@ -96,7 +93,7 @@ class ModelJoints:
                 ]
             ),
             "fixed_translations": {
-                name: np.concatenate([_local_position(m, name) for m in motions]).mean(axis=0)
+                name: np.concatenate([m.local_positions(name) for m in motions]).mean(axis=0)
                 for name in sorted(moved - {skeleton.names[root]})
             },
             "scale": body_scale(skeleton),
@@ -120,9 +117,7 @@ class ModelJoints:
             motions: with the rig's joint names and parents.
         """
         fields = self.fit_fields(motions, self.joints)
-        relative = self.scale / body_scale(self.skeleton)  # not 1 in old models
-        fields |= {"joints": self.joints, "scale": relative * fields["scale"]}
-        return replace(self, **fields)
+        return replace(self, **fields | {"joints": self.joints})
 
     @staticmethod
     def fields_from_json(skeleton: Skeleton, values: dict[str, Any]) -> dict[str, Any]:
@@ -131,7 +126,7 @@ class ModelJoints:
         Raises:
             MotionError: values of a wrong shape, or of joints that the skeleton does not have.
         """
-        scale = float(values.get("scale", 1.0))
+        scale = float(values["scale"])
         if not 0 < scale <= _LARGEST:
             raise MotionError(f"scale: {scale:g} must be above 0 and at most {_LARGEST:g}")
         joints = tuple(skeleton.names[skeleton.index(name)] for name in values["joints"])
@@ -140,11 +135,11 @@ class ModelJoints:
         return {
             "skeleton": skeleton,
             "joints": joints,
-            "fixed_rotations": _numbers(
-                values["fixed_rotations"], "fixed_rotations", (skeleton.n_joints, 4)
+            "fixed_rotations": checked(
+                "fixed_rotations", values["fixed_rotations"], (skeleton.n_joints, 4)
             ),
             "fixed_translations": {
-                skeleton.names[skeleton.index(name)]: _numbers(value, "fixed_translations", (3,))
+                skeleton.names[skeleton.index(name)]: checked("fixed_translations", value, (3,))
                 for name, value in values["fixed_translations"].items()
             },
             "scale": scale,
@@ -166,14 +161,11 @@ class ModelJoints:
         Raises:
             MotionError: joint names or parents differ from the rig's.
         """
-        if (motion.skeleton.names, motion.skeleton.parents) != (
-            self.skeleton.names,
-            self.skeleton.parents,
-        ):
+        rig, other = self.skeleton, motion.skeleton
+        if (other.names, other.parents) != (rig.names, rig.parents):
             raise MotionError(
-                "the motion's joints are not those of the model: "
-                f"{motion.skeleton.n_joints} joints from {motion.skeleton.names[0]!r}, the model "
-                f"has {self.skeleton.n_joints} from {self.skeleton.names[0]!r}"
+                f"the motion's joints are not those of the model: {other.n_joints} joints from "
+                f"{other.names[0]!r}, the model has {rig.n_joints} from {rig.names[0]!r}"
             )
 
     def size_of(self, skeleton: Skeleton | None) -> float:
@@ -260,10 +252,8 @@ def first_moving_joint(motions: Sequence[Motion]) -> int:
     skeleton = motions[0].skeleton
     legs = find_legs(skeleton)
     hips = [] if legs is None else [skeleton.index(leg.hip) for leg in legs.values()]
-    try:
-        pelvis = skeleton.index(find_parts(skeleton).pelvis)
-    except MotionError:
-        pelvis = 0
+    parts = known_parts(skeleton)
+    pelvis = skeleton.index(parts.pelvis) if parts else 0
     body = sorted({pelvis, *skeleton.ancestors(pelvis), *skeleton.descendants(pelvis)})
     first = next((j for j in body if _moves(motions, j)), 0)
     below = {first, *skeleton.descendants(first)}
@@ -290,16 +280,3 @@ def _moves(motions: Sequence[Motion], joint: int) -> bool:
         if turning or (places is not None and np.ptp(places, axis=0).max() > still):
             return True
     return False
-
-
-def _local_position(motion: Motion, name: str) -> np.ndarray:
-    """(T, 3) position of a joint in its parent's frame, metres; constant if it does not move."""
-    still = motion.skeleton.offsets[motion.skeleton.index(name)]
-    return motion.joint_translations.get(name, np.tile(still, (motion.n_frames, 1)))
-
-
-def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    numbers = np.array(values, dtype=np.float64)
-    if numbers.shape != shape or not np.isfinite(numbers).all():
-        raise MotionError(f"{name}: {numbers.shape} values; expected {shape} finite numbers")
-    return numbers

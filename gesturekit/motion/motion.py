@@ -6,15 +6,15 @@ import math
 import os
 import stat
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gesturekit import lazy
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
 from gesturekit.motion import kinematics
 from gesturekit.motion.joint_selection import keep_joints
@@ -22,11 +22,7 @@ from gesturekit.motion.mirroring import mirror
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
-from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton
-
-# The only upward imports: readers, writers and the viewer are in packages that import this one,
-# and are loaded by name when they are used.
-_FORMATS = "gesturekit.formats.registry"
+from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton, checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,19 +85,14 @@ class Motion:
         for name, values in self.joint_translations.items():
             if self.skeleton.index(name) == 0:
                 raise MotionError(f"{name!r} is the root: its position is the motion's translation")
-            moving[name] = _positions(values, n_frames, f"translation of joint {name!r}")
-        fps = checked_fps(self.fps)
-        translation = _positions(self.translation, n_frames, "translation")
-        expressions = self.expressions
-        if expressions is not None:
-            expressions = _finite_frames(expressions, n_frames, "expressions")
-        for key, value in (
-            ("rotations", rotations),
-            ("translation", translation),
-            ("fps", fps),
-            ("joint_translations", moving),
-            ("expressions", expressions),
-        ):
+            about = f"translation of joint {name!r}"
+            moving[name] = checked(about, values, (n_frames, 3), "frame")
+        fields: dict[str, Any] = {"rotations": rotations, "joint_translations": moving}
+        fields["fps"] = checked_fps(self.fps)
+        fields["translation"] = checked("translation", self.translation, (n_frames, 3), "frame")
+        if (face := self.expressions) is not None:
+            fields["expressions"] = checked("expressions", face, (n_frames, None), "frame")
+        for key, value in fields.items():
             object.__setattr__(self, key, value)
 
     def __repr__(self) -> str:
@@ -147,15 +138,7 @@ class Motion:
         if not len(range(*frames.indices(self.n_frames))):
             start, stop = ("" if at is None else at for at in (frames.start, frames.stop))
             raise MotionError(f"no frames in motion[{start}:{stop}]: it has {self.n_frames}")
-        return replace(
-            self,
-            rotations=self.rotations[frames],
-            translation=self.translation[frames],
-            fps=self.fps / step,
-            joint_translations={k: v[frames] for k, v in self.joint_translations.items()},
-            expressions=None if self.expressions is None else self.expressions[frames],
-            info=dict(self.info),
-        )
+        return self._changed(lambda values: values[frames], self.rotations[frames], self.fps / step)
 
     @property
     def duration(self) -> float:
@@ -182,6 +165,15 @@ class Motion:
         return kinematics.forward_kinematics(
             self.rotations, self.translation, self.skeleton, self.joint_translations
         )[:, which]
+
+    def local_positions(self, joint: str) -> np.ndarray:
+        """(T, 3) positions of a joint in its parent's frame, metres; constant if it stands still.
+
+        Raises:
+            MotionError: no such joint.
+        """
+        rest = self.skeleton.offsets[self.skeleton.index(joint)]
+        return self.joint_translations.get(joint, np.tile(rest, (self.n_frames, 1)))
 
     def end_positions(self) -> dict[str, np.ndarray]:
         """Return, for each joint with E end sites, their (T, E, 3) world positions, metres."""
@@ -226,14 +218,20 @@ class Motion:
         resampler = Resampler(
             self.n_frames, self.skeleton.n_joints, self.fps, fps, n_frames, antialias
         )
-        moving, face = self.joint_translations, self.expressions
+        return self._changed(resampler.values, resampler.rotations(self.rotations), resampler.fps)
+
+    def _changed(
+        self, change: Callable[[np.ndarray], np.ndarray], rotations: np.ndarray, fps: float
+    ) -> Motion:
+        """Return the motion of other frames; `change` makes values (T', D) of values (T, D)."""
+        face = self.expressions
         return replace(
             self,
-            rotations=resampler.rotations(self.rotations),
-            translation=resampler.values(self.translation),
-            fps=resampler.fps,
-            joint_translations={k: resampler.values(v) for k, v in moving.items()},
-            expressions=None if face is None else resampler.values(face),
+            rotations=rotations,
+            translation=change(self.translation),
+            fps=fps,
+            joint_translations={k: change(v) for k, v in self.joint_translations.items()},
+            expressions=None if face is None else change(face),
             info=dict(self.info),
         )
 
@@ -248,9 +246,7 @@ class Motion:
         Raises:
             MotionError: a rig with limbs whose left and right cannot be identified.
         """
-        return self._on_rig(
-            *mirror(self.skeleton, self.rotations, self.translation, self.joint_translations)
-        )
+        return self._on_rig(mirror)
 
     def keep(self, joints: Sequence[str] | str) -> Motion:
         """Return the motion without all other joints; kept ones stay where they are in the world.
@@ -268,28 +264,13 @@ class Motion:
         joints = [joints] if isinstance(joints, str) else joints
         if set(joints) == set(self.skeleton.names):
             return self
-        return self._on_rig(
-            *keep_joints(
-                self.skeleton, self.rotations, self.translation, self.joint_translations, joints
-            )
-        )
+        return self._on_rig(keep_joints, joints)
 
-    def _on_rig(
-        self,
-        skeleton: Skeleton,
-        rotations: np.ndarray,
-        translation: np.ndarray,
-        moving: Mapping[str, np.ndarray],
-    ) -> Motion:
-        """Return the motion with another rig and movement."""
-        return replace(
-            self,
-            skeleton=skeleton,
-            rotations=rotations,
-            translation=translation,
-            joint_translations=moving,
-            info=dict(self.info),
-        )
+    def _on_rig(self, change: Callable[..., tuple[Any, ...]], *arguments: Any) -> Motion:
+        """Return the motion with the rig and the movement that a function makes of its own."""
+        names = ("skeleton", "rotations", "translation", "joint_translations")
+        changed = change(*(getattr(self, name) for name in names), *arguments)
+        return replace(self, info=dict(self.info), **dict(zip(names, changed)))
 
     def scaled(self, factor: float) -> Motion:
         """Multiply all lengths by `factor`: skeleton, translation and joint translations.
@@ -364,7 +345,7 @@ class Motion:
             MotionError: an invalid height.
         """
         _refuse_special(Path(path))
-        motion = import_module(_FORMATS).reader_of(path, options)(path, **options)
+        motion = lazy.on_demand("reader_of")(path, options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
     @gesturekit_errors()
@@ -379,7 +360,7 @@ class Motion:
             FormatError: an unknown format, one that cannot hold this motion, or an option that the
                 format does not have.
         """
-        import_module(_FORMATS).writer_of(path, options)(self, path, **options)
+        lazy.on_demand("writer_of")(path, options)(self, path, **options)
 
     @gesturekit_errors()
     def show(self, audio: Any = None, **options: Any) -> Any:
@@ -390,7 +371,7 @@ class Motion:
             options: `title`, `body`, `framing`, `body_model` and `height` in pixels; see
                 `gesturekit.viewer.display`.
         """
-        return import_module("gesturekit.viewer").display(self, audio, **options)
+        return lazy.on_demand("display")(self, audio, **options)
 
     def plot(self, audio: Any = None, **options: Any) -> Any:
         """Return the picture that `save` writes as .png: a PIL image, which a notebook displays.
@@ -414,25 +395,3 @@ def _refuse_special(path: Path) -> None:
         return  # the reader reports the error
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path}: not a regular file")
-
-
-def _positions(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:
-    """Return `values` as float64 of shape (n_frames, 3), or raise MotionError."""
-    values = np.asarray(values, dtype=np.float64)
-    if values.shape != (n_frames, 3):
-        raise MotionError(
-            f"{name} has shape {values.shape}; {n_frames} frames need ({n_frames}, 3)"
-        )
-    return _finite_frames(values, n_frames, name)
-
-
-def _finite_frames(values: np.ndarray, n_frames: int, name: str) -> np.ndarray:
-    """Return `values` as finite float64 of shape (n_frames, D), or raise MotionError."""
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 2 or len(values) != n_frames:
-        raise MotionError(f"{name} has shape {values.shape}; {n_frames} frames need as many rows")
-    if not (near := np.abs(values) <= FARTHEST).all():
-        frame, column = np.argwhere(~near)[0]
-        value = f"{values[frame, column]:g} in column {column}"
-        raise MotionError(f"{name} is not finite, or over {FARTHEST:g}, in frame {frame}: {value}")
-    return values

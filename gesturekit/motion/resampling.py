@@ -18,6 +18,7 @@ from gesturekit.motion.rotations import (
 
 LOWEST_FPS, HIGHEST_FPS = 1e-5, 1e5
 """Frame rates outside this range are treated as errors in the file."""
+COMMON_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 240)
 _MOST_ROTATIONS = 250_000_000  # 8 GB of them; ten hours of 75 joints at 60 fps are 162 million
 _BLOCK = 4096  # frames that are interpolated at a time, to save memory
 

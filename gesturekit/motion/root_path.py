@@ -10,14 +10,14 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.heading import headings, side_axis
-from gesturekit.motion.ik.legs import reach_feet
+from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
-from gesturekit.motion.skeleton import FARTHEST
+from gesturekit.motion.skeleton import checked
 
 STANDING = 0.05
 """m/s of the reference body; a slower path has no direction of travel."""
@@ -47,17 +47,10 @@ class RootPath:
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
         angles = np.array(self.headings, dtype=np.float64)
-        if positions.shape[1:] != (2,) or not len(positions):
-            raise MotionError(f"a path's positions have shape {positions.shape}; expected (T, 2)")
-        if angles.shape != (len(positions),):
-            raise MotionError(
-                f"a path's headings have shape {angles.shape}; {len(positions)} positions need "
-                f"({len(positions)},)"
-            )
-        for what, values in (("position", positions), ("heading", angles)):
-            if not (near := np.abs(values) <= FARTHEST).all():
-                frame = int(np.argwhere(~near)[0, 0])
-                raise MotionError(f"the path's {what} in frame {frame} is {values[frame]}")
+        positions = checked("the path's position", positions, (None, 2), "frame")
+        angles = checked("the path's heading", angles, (len(positions),), "frame")
+        if not len(positions):
+            raise MotionError(f"the path's positions have shape {positions.shape}: no frame")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "headings", np.unwrap(angles))
         object.__setattr__(self, "fps", checked_fps(self.fps))
@@ -273,7 +266,6 @@ def _shifted(motion: Motion, root: int, shift: np.ndarray, world: np.ndarray) ->
     if root == 0:
         return replace(motion, translation=motion.translation + shift)
     name, parent = motion.skeleton.names[root], motion.skeleton.parents[root]
-    still = np.tile(motion.skeleton.offsets[root], (motion.n_frames, 1))
-    position = motion.joint_translations.get(name, still)
-    position = position + rotate_vectors(invert_quaternions(world[:, parent]), shift)
+    shift = rotate_vectors(invert_quaternions(world[:, parent]), shift)
+    position = motion.local_positions(name) + shift
     return replace(motion, joint_translations={**motion.joint_translations, name: position})

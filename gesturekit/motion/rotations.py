@@ -107,6 +107,16 @@ def slerp(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return normalize_quaternions(from_a[..., None] * a + from_b[..., None] * b)
 
 
+def steady_signs(turns: np.ndarray) -> np.ndarray:
+    """Return rotations (T, ..., 4) with continuous signs.
+
+    q and -q are the same rotation; the nearer one in each frame can be interpolated.
+    """
+    along = (turns[1:] * turns[:-1]).sum(axis=-1)
+    signs = np.cumprod(np.where(along < 0, -1.0, 1.0), axis=0)
+    return np.concatenate([turns[:1], turns[1:] * signs[..., None]])
+
+
 def mean_quaternion(q: np.ndarray) -> np.ndarray:
     """(4,) mean of (N, 4): the top eigenvector of the sum of q q^T (Markley et al. 2007)."""
     q = np.asarray(q, dtype=np.float64).reshape(-1, 4)

@@ -1,25 +1,87 @@
-"""Skeleton: named joints, their tree, and their rest offsets."""
+"""Skeleton: named joints, their tree, their rest offsets, and the shape of the person's body."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.body_shape import BodyShape
 from gesturekit.wording import did_you_mean, listed
+
+FARTHEST = 1e9
+"""Largest plausible coordinate, metres; sums of larger ones could overflow."""
+GENDERS = ("female", "male", "neutral")
+MAX_BETAS = 1000
+
+
+def has_shape(array: np.ndarray, shape: tuple[int | None, ...]) -> bool:
+    """Return whether an array has a shape, in which None is any number."""
+    fits = [n in (None, m) for n, m in zip(shape, array.shape)]
+    return array.ndim == len(shape) and all(fits)
+
+
+def checked(name: str, values: Any, shape: tuple[int | None, ...], row: str = "row") -> np.ndarray:
+    """Return values as float64 of a shape, in which None is any number.
+
+    Raises:
+        MotionError: another shape, or values that are not finite; `name` and `row` name them.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if not has_shape(array, shape):
+        expected = str(shape).replace("None", "any")
+        raise MotionError(f"{name} has shape {array.shape}; expected {expected}")
+    if not (near := np.abs(array) <= FARTHEST).all():
+        bad = int(np.argwhere(~near)[0, 0])
+        value = array[bad].tolist()
+        raise MotionError(f"{name} is not finite, or over {FARTHEST:g}, in {row} {bad}: {value}")
+    return array
+
+
+@dataclass(frozen=True)
+class BodyShape:
+    """Body shape of the person on a rig; a person without a known shape has the default one.
+
+    Attributes:
+        betas: (B,) shape coefficients; trailing zeros, which change nothing, are dropped.
+        gender: of GENDERS, the body model that `betas` belong to; None if unknown.
+        version: of that model, such as "smplx2020"; None if unknown.
+        pelvis: (3,) rest position of the pelvis in the body model, metres, to which the `trans` of
+            a file is added; None if unknown.
+
+    Raises:
+        MotionError: an unknown gender, numbers that are not finite, or too many of them.
+    """
+
+    betas: tuple[float, ...] = ()
+    gender: str | None = None
+    version: str | None = None
+    pelvis: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        betas = checked("betas", self.betas, (None,))
+        if len(betas) > MAX_BETAS:
+            raise MotionError(f"{len(betas)} betas; a body has up to {MAX_BETAS}")
+        if self.gender not in (None, *GENDERS):
+            raise MotionError(f"gender {self.gender!r}; expected {', '.join(GENDERS)}")
+        object.__setattr__(self, "betas", tuple(np.trim_zeros(betas, "b").tolist()))
+        if self.pelvis is not None:
+            pelvis = checked("pelvis", self.pelvis, (3,))
+            object.__setattr__(self, "pelvis", tuple(pelvis.tolist()))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the known attributes as JSON values."""
+        return {name: value for name, value in asdict(self).items() if value not in (None, ())}
+
 
 SKELETON_FORMAT = 1
 ROTATION_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 LONGEST_NAME = 200
 """Characters of a joint's name."""
-FARTHEST = 1e9
-"""Largest plausible coordinate, metres; sums of larger ones could overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +121,11 @@ class Skeleton:
     def __post_init__(self) -> None:
         names = tuple(str(name) for name in self.names)
         parents = tuple(int(parent) for parent in self.parents)
-        offsets = np.array(self.offsets, dtype=np.float64)
         orders = tuple(self.rotation_orders) or ("ZXY",) * len(names)
         _check_tree(names, parents)
+        offsets = np.array(self.offsets, dtype=np.float64)
         if offsets.shape != (len(names), 3):
-            raise MotionError(
-                f"skeleton offsets have shape {offsets.shape}; {len(names)} joints need "
-                f"({len(names)}, 3)"
-            )
+            raise MotionError(f"offsets of shape {offsets.shape} for {len(names)} joints")
         if not (near := np.abs(offsets) <= FARTHEST).all():
             bad = names[int(np.argwhere(~near)[0, 0])]
             raise MotionError(f"the offset of joint {bad!r} is not finite, or over {FARTHEST:g} m")
@@ -74,27 +133,17 @@ class Skeleton:
             raise MotionError(f"{len(orders)} rotation orders for {len(names)} joints")
         for name, order in zip(names, orders):
             if order not in ROTATION_ORDERS:
-                raise MotionError(
-                    f"rotation order {order!r} of joint {name!r}; "
-                    f"expected one of {', '.join(ROTATION_ORDERS)}"
-                )
+                known = ", ".join(ROTATION_ORDERS)
+                raise MotionError(f"rotation order {order!r} of joint {name!r}; expected {known}")
         ends, known = {}, set(names)
         for name, sites in self.end_sites.items():
             if name not in known:
                 raise MotionError(f"end site on {name!r}, which is not a joint of the skeleton")
-            ends[name] = tuple(np.array(site, dtype=np.float64) for site in sites)
-            if any(
-                site.shape != (3,) or not (np.abs(site) <= FARTHEST).all() for site in ends[name]
-            ):
-                raise MotionError(f"an end site of joint {name!r} is not three finite numbers")
-        for key, value in (
-            ("names", names),
-            ("parents", parents),
-            ("offsets", offsets),
-            ("end_sites", ends),
-            ("rotation_orders", orders),
-            ("parts", dict(self.parts)),
-        ):
+            about = f"an end site of joint {name!r}"
+            ends[name] = tuple(checked(about, np.array(site), (3,)) for site in sites)
+        fields = {"names": names, "parents": parents, "offsets": offsets, "end_sites": ends}
+        fields |= {"rotation_orders": orders, "parts": dict(self.parts)}
+        for key, value in fields.items():
             object.__setattr__(self, key, value)
         for part, name in self.parts.items():
             try:
@@ -220,7 +269,7 @@ class Skeleton:
                 end_sites={k: tuple(v) for k, v in values.get("end_sites", {}).items()},
                 rotation_orders=tuple(values.get("rotation_orders", ())),
                 parts=dict(values.get("parts", {})),
-                body_shape=BodyShape.from_json(values.get("body_shape", {})),
+                body_shape=BodyShape(**values.get("body_shape", {})),
             )
         except KeyError as error:
             raise MotionError(f"the skeleton lacks the field {error}") from None
@@ -264,9 +313,8 @@ def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
     if parents[0] != -1:
         raise MotionError(f"the first joint, {names[0]!r}, must be the root (parent -1)")
     for j, parent in enumerate(parents[1:], start=1):
-        if parent == -1:
-            raise MotionError(f"a second root, {names[j]!r}; a skeleton has one ({names[0]!r})")
         if not 0 <= parent < j:
             raise MotionError(
-                f"joint {names[j]!r} (index {j}) has parent {parent}; parents come before children"
+                f"joint {names[j]!r} (index {j}) has parent {parent}; the only root is "
+                f"{names[0]!r}, and parents come before children"
             )

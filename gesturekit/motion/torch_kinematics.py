@@ -71,8 +71,6 @@ class ForwardKinematics(nn.Module):
         super().__init__()
         parents = [int(parent) for parent in parents]
         offsets = torch.from_numpy(np.array(offsets, dtype=np.float64))
-        if parents[0] != -1 or any(not 0 <= p < j for j, p in enumerate(parents) if j):
-            raise ValueError(f"parents {parents}: the root (-1) first, parents before children")
         depth: list[int] = []
         for parent in parents:
             depth.append(depth[parent] + 1 if parent >= 0 else 0)

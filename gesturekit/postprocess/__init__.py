@@ -7,11 +7,4 @@ from gesturekit.postprocess.smoothing import smooth_motion
 
 __all__ = ["Placement", "lock_feet", "smooth_motion"]
 
-__getattr__ = attach(
-    __name__,
-    {},
-    {
-        "Anchor": "foot",
-        "find_feet": "foot",
-    },
-)[1]
+__getattr__ = attach(__name__, {}, {"Anchor": "foot", "find_feet": "foot"})[1]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gesturekit.motion.contacts import FootPoint, foot_points
 from gesturekit.motion.parts import SIDES, require_legs
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts.body_size import real_end_sites
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
@@ -60,12 +60,13 @@ class Foot:
     @property
     def joints(self) -> tuple[int, ...]:
         """All joints of the leg that move, or that carry a point of the sole."""
-        own = [*self.limb, self.toe, *(joint for joint, _ in self.sole)]
-        return tuple(sorted({joint for joint in own if joint is not None}))
+        moving = [*self.limb, self.toe, *(joint for joint, _ in self.sole)]
+        return tuple(sorted({joint for joint in moving if joint is not None}))
 
     def renumbered(self, index: Mapping[int, int]) -> Foot:
         """Return the foot with other joint indices: {old index: new index}."""
-        return Foot(
+        return replace(
+            self,
             hip=index[self.hip],
             knee=index[self.knee],
             ankle=index[self.ankle],
@@ -73,7 +74,6 @@ class Foot:
             heel=replace(self.heel, joint=index[self.heel.joint]),
             ball=None if self.ball is None else replace(self.ball, joint=index[self.ball.joint]),
             sole=tuple((index[joint], offset) for joint, offset in self.sole),
-            n_toes=self.n_toes,
         )
 
     @property
@@ -98,17 +98,6 @@ class Foot:
         return positions[:, joints] + rotate_vectors(world[:, joints], offsets)
 
 
-def find_feet(skeleton: Skeleton) -> tuple[Foot, Foot]:
-    """Return the left and the right foot of a rig.
-
-    Raises:
-        MotionError: no legs, or none that can be identified; see
-            `gesturekit.motion.parts.require_legs`.
-    """
-    left, right = _feet(skeleton)
-    return left, right
-
-
 def feet_of_legs(skeleton: Skeleton) -> tuple[list[int], list[Foot]]:
     """Return the joints of both legs with all above them, in order, and the feet among these.
 
@@ -124,25 +113,28 @@ def feet_of_legs(skeleton: Skeleton) -> tuple[list[int], list[Foot]]:
     return kept, [foot.renumbered(index) for foot in feet]
 
 
-def _feet(skeleton: Skeleton) -> Iterator[Foot]:
-    legs = require_legs(skeleton)
+def find_feet(skeleton: Skeleton) -> list[Foot]:
+    """Return the left and the right foot of a rig.
+
+    Raises:
+        MotionError: no legs, or none that can be identified; see
+            `gesturekit.motion.parts.require_legs`.
+    """
+    legs, feet = require_legs(skeleton), []
     points, ends = foot_points(skeleton), real_end_sites(skeleton)
     for side in SIDES:
         leg = legs[side]
         ankle = skeleton.index(leg.ankle)
         toe = None if leg.toe is None else skeleton.index(leg.toe)
-        own = [k for k, point in enumerate(points) if point.joint in (leg.ankle, leg.toe)]
-        front = [k for k in own if points[k].joint == leg.toe]
-        back = [k for k in own if k not in front]
+        front = [k for k, point in enumerate(points) if point.joint == leg.toe]
+        back = [k for k, point in enumerate(points) if point.joint == leg.ankle]
         if toe is None and len(back) > 1:
             # All points are fixed to the ankle, so the nearest is the heel.
             back.sort(key=lambda k: float(np.linalg.norm(points[k].offset)))
             back, front = back[:1], back[1:]
-        ball: Anchor | None
+        ball = Anchor(ankle, _middle(points, front), tuple(front)) if front else None
         if toe is not None:
             ball = Anchor(toe, np.zeros(3), tuple(front or back))
-        else:
-            ball = Anchor(ankle, _middle(points, front), tuple(front)) if front else None
         toes = {toe, *skeleton.descendants(toe)} if toe is not None else set()
         sole = [(skeleton.index(points[k].joint), points[k].offset) for k in back]
         below = (ankle, *skeleton.descendants(ankle))
@@ -151,16 +143,10 @@ def _feet(skeleton: Skeleton) -> Iterator[Foot]:
         for j in below:
             sites = [(j, site) for site in ends.get(skeleton.names[j], ())]
             (tips if j in toes else sole).extend(sites)
-        yield Foot(
-            hip=skeleton.index(leg.hip),
-            knee=skeleton.index(leg.knee),
-            ankle=ankle,
-            toe=toe,
-            heel=Anchor(ankle, _middle(points, back), tuple(back or front)),
-            ball=ball,
-            sole=(*sole, *tips),
-            n_toes=len(tips),
-        )
+        heel = Anchor(ankle, _middle(points, back), tuple(back or front))
+        hip, knee = skeleton.index(leg.hip), skeleton.index(leg.knee)
+        feet.append(Foot(hip, knee, ankle, toe, heel, ball, (*sole, *tips), len(tips)))
+    return feet
 
 
 def _middle(points: tuple[FootPoint, ...], which: list[int]) -> np.ndarray:

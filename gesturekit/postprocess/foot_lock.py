@@ -1,14 +1,14 @@
 """Foot locking: remove the sliding of standing feet.
 
 1. Find the contact spans of heel and ball of each foot, from the contact labels predicted by the
-   model, or from speed and height (`contact_spans`).
+   model, or from speed and height (`pinning`).
 2. Subtract slow sliding that is common to the standing feet from the hip path (`horizontal_drift`).
 3. Pin each point at its mean position on the floor in each span, and blend the correction in and
-   out (`pinning`). A foot is never pulled down in flight: it rolls onto and off the floor as
+   out. A foot is never pulled down in flight: it rolls onto and off the floor as
    before. While the heel lifts, only the ball is pinned; a flat foot is pinned at both and rotated
    as a whole.
 4. Raise feet that would sink deeper than before, and lower the hips if a leg is too short.
-5. Solve hips and knees by two-bone IK (`gesturekit.motion.ik.two_bone`). The ankle keeps the
+5. Solve hips and knees by two-bone IK (`gesturekit.motion.ik`). The ankle keeps the
    orientation of the foot, and the toes keep theirs.
 
 Frames without contact do not change.
@@ -16,18 +16,19 @@ Frames without contact do not change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.ik.two_bone import reachable, two_bone_ik
+from gesturekit.motion.ik import Reach, bend_limbs, reachable
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.parts.body_size import body_scale
-from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, smooth_upper_envelope
+from gesturekit.motion.retarget.targets import HIP_DROP_SECONDS, smooth_upper_envelope
 from gesturekit.motion.rotations import (
     IDENTITY,
     invert_quaternions,
@@ -36,15 +37,17 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.postprocess.contact_spans import (
+from gesturekit.postprocess.foot import Foot, feet_of_legs
+from gesturekit.postprocess.pinning import (
+    FASTEST,
     contact_frames,
     contact_spans,
     gaussian_smoothed,
     include_landing,
+    pin,
+    soft_clamp,
     split_at_movement,
 )
-from gesturekit.postprocess.foot import Foot, feet_of_legs
-from gesturekit.postprocess.pinning import FASTEST, pin, soft_clamp
 
 _MAX_CORRECTION = 0.1
 """Largest correction of a foot, as a share of the leg length."""
@@ -84,8 +87,7 @@ def lock_feet(
     return _FootLock(motion, contacts).locked(keep_path)
 
 
-@dataclass(eq=False)
-class _Goal:
+class _Goal(NamedTuple):
     """Correction of a foot in the world: (T, 3) movement of its ankle, (T, 4) rotation."""
 
     moved: np.ndarray
@@ -120,18 +122,17 @@ class _FootLock:
     def locked(self, keep_path: bool) -> Motion:
         """Return the corrected motion; see `lock_feet`."""
         stands = [self._stands(foot) for foot in self.feet]
-        if not any(mask.any() for foot in stands for mask, _ in foot):
+        either = [np.any([mask for mask, _ in foot], axis=0) for foot in stands]
+        standing = np.stack(either, axis=1)
+        if not standing.any():
             return self.whole
         shift = np.zeros((self.motion.n_frames, 3))
         if not keep_path:
-            standing = np.stack(
-                [np.any([mask for mask, _ in foot], axis=0) for foot in stands], axis=1
-            )
             left, right = (np.mean(self._places(foot), axis=0) for foot in self.feet)
             shift -= horizontal_drift(left, right, standing, self.fps)
-            heights = [self._height(foot, own) for foot, own in zip(self.feet, stands, strict=True)]
-            shift[:, 1] -= height_error(np.stack(heights, axis=1), standing, self.fps)
-        goals = [self._goal(foot, own, shift) for foot, own in zip(self.feet, stands, strict=True)]
+            heights = np.stack(list(map(self._height, self.feet, stands)), axis=1)
+            shift[:, 1] -= height_error(heights, standing, self.fps)
+        goals = [self._goal(*foot, shift) for foot in zip(self.feet, stands, strict=True)]
         shift[:, 1] -= self._hip_drop(goals, shift)
         return self._posed(goals, shift)
 
@@ -150,13 +151,13 @@ class _FootLock:
 
     def _stands(self, foot: Foot) -> list[tuple[np.ndarray, float]]:
         """Return, for heel and ball, a contact mask (T,) and the height of the floor, metres."""
-        found = []
+        stands = []
         for anchor, place in zip(foot.anchors, self._places(foot), strict=True):
             labels = None
             if self.labels is not None:
                 labels = self.labels[:, list(anchor.columns)].mean(axis=1)
-            found.append(contact_frames(place, self.fps, self.scale, labels))
-        return found
+            stands.append(contact_frames(place, self.fps, self.scale, labels))
+        return stands
 
     def _goal(self, foot: Foot, stands: list[tuple[np.ndarray, float]], shift: np.ndarray) -> _Goal:
         """Return the correction that keeps heel and ball in place while they stand.
@@ -255,31 +256,27 @@ class _FootLock:
 
     def _posed(self, goals: list[_Goal], shift: np.ndarray) -> Motion:
         """Return the motion with legs solved for the goals and hips moved by `shift` (T, 3)."""
-        motion, skeleton = self.motion, self.skeleton
-        rotations = motion.rotations.copy()
+        skeleton, limbs = self.skeleton, []
         changed = np.linalg.norm(shift, axis=1) > self.nothing
         for goal in goals:
             changed |= np.linalg.norm(goal.moved, axis=1) > self.nothing
             changed |= np.linalg.norm(goal.turn[:, :3], axis=1) > _NOTHING
+        # Ankles and toes keep their world rotations, turned with the foot.
         for foot, goal in zip(self.feet, goals, strict=True):
-            bones = [foot.hip, foot.knee]
-            rotations[:, bones] = two_bone_ik(
-                self.positions[:, foot.limb] + shift[:, None],
-                self.positions[:, foot.ankle] + goal.moved,
-                rotations[:, bones],
-                self.world[:, [skeleton.parents[j] for j in bones]],
-                hinge=True,
-            )
-        # Restore the world rotations of ankles and toes, turned with the foot.
-        world = global_rotations(rotations, skeleton)
-        for foot, goal in zip(self.feet, goals, strict=True):
-            self._turn(rotations, world, foot.ankle, goal.turn)
+            places = self.positions[:, foot.limb]
+            turn = multiply_quaternions(goal.turn, self.world[:, foot.ankle])
+            target = places[:, 2] + goal.moved
+            places = places + shift[:, None]
+            limbs.append(Reach([foot.hip, foot.knee], foot.ankle, places, target, turn))
+        rotations = bend_limbs(skeleton, self.motion.rotations, self.world, limbs, hinge=True)
         world = global_rotations(rotations, skeleton)
         for foot, goal in zip(self.feet, goals, strict=True):
             if foot.toe is not None:
-                self._turn(rotations, world, foot.toe, _yaw(goal.turn))
+                back = invert_quaternions(world[:, skeleton.parents[foot.toe]])
+                turn = multiply_quaternions(_yaw(goal.turn), self.world[:, foot.toe])
+                rotations[:, foot.toe] = multiply_quaternions(back, turn)
         locked = self.whole.rotations.copy()
-        locked[:, self.kept] = np.where(changed[:, None, None], rotations, motion.rotations)
+        locked[:, self.kept] = np.where(changed[:, None, None], rotations, self.motion.rotations)
         return self._shifted(replace(self.whole, rotations=locked), shift)
 
     def _shifted(self, motion: Motion, shift: np.ndarray) -> Motion:
@@ -293,16 +290,6 @@ class _FootLock:
                 moving[skeleton.names[j]] = moving[skeleton.names[j]] + rotate_vectors(back, shift)
                 return replace(motion, joint_translations=moving)
         return replace(motion, translation=motion.translation + shift)
-
-    def _turn(self, rotations: np.ndarray, world: np.ndarray, joint: int, turn: np.ndarray) -> None:
-        """Set the local rotation that gives a joint its old world rotation turned by `turn` (T, 4).
-
-        `rotations` (T, J, 4), local, change in place; `world` (T, J, 4) are those of the joints
-        above.
-        """
-        back = invert_quaternions(world[:, self.skeleton.parents[joint]])
-        wanted = multiply_quaternions(turn, self.world[:, joint])
-        rotations[:, joint] = multiply_quaternions(back, wanted)
 
 
 def _above_noise(height: np.ndarray, noise: float) -> np.ndarray:

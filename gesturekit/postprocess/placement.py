@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 from gesturekit.motion.concatenation import carried, eased, with_root
 from gesturekit.motion.contacts import CONTACT_SPEED, floor_height, foot_positions
 from gesturekit.motion.heading import heading, headings, side_axis
-from gesturekit.motion.ik.legs import reach_feet
+from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
@@ -84,11 +84,11 @@ class Placement:
                 the index of the frame to take without seconds.
             on_path: see the class.
         """
-        start, end = controls["start_pose"], controls["end_pose"]
+        start, end, facing = (controls[key] for key in ("start_pose", "end_pose", "facing"))
         return cls(
             start=None if start is None else read_pose(start.read, 0),
             end=None if end is None else read_pose(end.read, -1),
-            facing=None if controls["facing"] is None else np.radians(controls["facing"]),
+            facing=None if facing is None else np.radians(facing),
             in_place=controls["in_place"],
             on_path=on_path,
             foot_lock=controls["foot_lock"],

@@ -23,6 +23,7 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     normalize_quaternions,
     rotation_angles,
+    steady_signs,
 )
 from gesturekit.motion.skeleton import Skeleton
 
@@ -60,7 +61,7 @@ def smooth_motion(motion: Motion, seconds: float) -> Motion:
     upper = [skeleton.index(name) for name in upper_body(skeleton)]
     hips = list(skeleton.ancestors(upper[0]))
     joints = [*upper, *hips]
-    turns = _without_sign_flips(motion.rotations[:, joints])
+    turns = steady_signs(motion.rotations[:, joints])
     gesture = _low_pass(turns, _GESTURE, motion.fps)
     calm = _low_pass(turns, min(0.5 / seconds, _GESTURE), motion.fps)
     keep = _beats(gesture[:, : len(upper)], motion.fps)[:, None, None]
@@ -105,10 +106,3 @@ def _low_pass(turns: np.ndarray, cutoff: float, fps: float) -> np.ndarray:
         return turns
     sections = butter(2, cutoff, fs=fps, output="sos")
     return sosfiltfilt(sections, turns, axis=0, padlen=min(round(fps / cutoff), len(turns) - 1))
-
-
-def _without_sign_flips(q: np.ndarray) -> np.ndarray:
-    """(T, J, 4) the same rotations, with signs that make each quaternion near the previous one."""
-    near = (q[1:] * q[:-1]).sum(axis=2, keepdims=True) >= 0
-    signs = np.cumprod(np.where(near, 1.0, -1.0), axis=0)
-    return np.concatenate([q[:1], q[1:] * signs])

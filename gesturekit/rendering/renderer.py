@@ -14,7 +14,7 @@ from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.registry import WRITABLE
-from gesturekit.formats.rig import Rig
+from gesturekit.formats.smpl import Rig
 from gesturekit.jobs.result import Processor, Result, Task, json_of, path_digest
 from gesturekit.model import Model, control_entries
 from gesturekit.motion.motion import Motion
@@ -38,7 +38,7 @@ class Output:
         existing: treatment of existing files that were made with another model, settings or
             input: refuse, skip or replace. Files made with the same ones are kept.
         rig: skeleton to retarget to: a motion file with any joint names, size and rest pose, or
-            smpl, smplh or smplx; see `gesturekit.formats.rig`. None for the model's own.
+            smpl, smplh or smplx; see `gesturekit.formats.smpl`. None for the model's own.
         unit: unit of BVH files; None for cm.
         up: up axis of SMPL npz files, "y" or "z"; None for y.
         body: in glb files, pages, videos and pictures: "mannequin", "human", "skeleton" or the path

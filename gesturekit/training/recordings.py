@@ -20,7 +20,7 @@ from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.takes import neighbours
 from gesturekit.errors import ConfigError, CorpusError, MotionError
-from gesturekit.formats.smpl.skeleton import mean_body, on_body
+from gesturekit.formats.smpl import mean_body, on_body
 from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts

@@ -18,9 +18,9 @@ from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.fbx import write_by_blender
 from gesturekit.formats.gltf.skin import Skin, unique_rows
 from gesturekit.formats.gltf.vrm import Avatar, our_names, read_avatar
-from gesturekit.formats.gltf.writing import Material, animated_avatar, animated_skeleton
-from gesturekit.formats.smpl.skeleton import fit_body
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.formats.gltf.writing import animated_avatar, animated_skeleton
+from gesturekit.formats.smpl import fit_body
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human import COLOURS, Fitting, Human
 
@@ -143,10 +143,9 @@ def write_glb(
         content = animated_avatar(load_avatar(body)[1], drawn.motion, path.stem, drawn.scale)
     else:
         skin = drawn.skins[0] if drawn.skins else None
-        materials = [Material("body", COLOURS["skin"])]
-        if skin is not None and skin.regions is not None:
-            materials = [Material(name, colour) for name, colour in COLOURS.items()]
-        content = animated_skeleton(drawn.motion, path.stem, skin, materials, drawn.scale)
+        has_regions = skin is not None and skin.regions is not None
+        colours = COLOURS if has_regions else {"body": COLOURS["skin"]}
+        content = animated_skeleton(drawn.motion, path.stem, skin, colours, drawn.scale)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 

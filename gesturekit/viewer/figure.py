@@ -10,8 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion.parts import BodyParts, find_parts
-from gesturekit.motion.parts.body_size import body_height
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts.body_size import body_height, real_end_sites
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from audio_features.atomic import write_text
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer.drawn_body import DrawnBody, drawn_bodies
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human import COLOURS

@@ -21,7 +21,7 @@ from matplotlib.ft2font import FT2Font
 from audio_features import Wave
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, OutputError
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.viewer.drawn_body import DrawnBody, drawn_bodies
 from gesturekit.viewer.page_data import Playable, as_wave

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats.tables.events import Event
+from gesturekit.formats.tables import Event
 from gesturekit.motion.motion import Motion
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "demo"))

@@ -84,7 +84,7 @@ def wander(n_frames: int, low: float, high: float, rng: np.random.Generator) -> 
 
 
 def write_path(path: RootPath, file: Path) -> None:
-    """Write a path in the format of `gesturekit.formats.tables.root_path.load_root_path`."""
+    """Write a path in the format of `gesturekit.formats.tables.load_root_path`."""
     table = np.column_stack(
         [np.arange(path.n_frames) / path.fps, path.positions, np.degrees(path.headings)]
     )

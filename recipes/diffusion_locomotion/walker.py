@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from scipy.spatial.transform import Rotation
 
-from gesturekit.motion.ik.two_bone import two_bone_ik
+from gesturekit.motion.ik import two_bone_ik
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 

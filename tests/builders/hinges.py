@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gesturekit.motion import FORWARD, SIDES, body_frames, find_parts, rotate_vectors, standing_pose
+from gesturekit.motion import FORWARD, SIDES, body_frames, rotate_vectors, standing_pose
 from gesturekit.motion.motion import Motion
 
 TOLERANCE = np.deg2rad(5.0)
@@ -24,8 +24,7 @@ def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
     Raises:
         MotionError: parts that cannot be identified, or a body that never stands.
     """
-    parts = find_parts(motion.skeleton)
-    frames = body_frames(motion.skeleton, parts, standing_pose(motion, parts))
+    frames = body_frames(motion.skeleton, standing_pose(motion))
     world, positions = frames.world(motion.global_rotations()), motion.positions()
     found = {}
     for upper, hinge, end, sign in _HINGES:

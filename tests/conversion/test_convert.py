@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
-from gesturekit.conversion.changes import Changes, parse_trim
-from gesturekit.conversion.convert import convert
-from gesturekit.conversion.options import FormatOptions
+from gesturekit.conversion.convert import Changes, Conversion, parse_trim
 from gesturekit.errors import ConfigError
 from gesturekit.formats import Rig, motions_in, smpl_skeleton
 from gesturekit.jobs import STATE, Execution, Result
@@ -24,8 +22,7 @@ from gesturekit.motion import BodyShape, Motion
 
 
 def outcomes(*arguments, **options) -> list[Result]:
-    own = {name: options.pop(name) for name in ("read", "write", "body_model") if name in options}
-    return list(convert(*arguments, options=FormatOptions(**own), **options))
+    return list(Conversion(*arguments, **options).run())
 
 
 def written(folder: Path) -> set[str]:

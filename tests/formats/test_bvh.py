@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import read_bvh, write_bvh
-from gesturekit.formats.bvh.grammar import parse_bvh
+from gesturekit.formats.bvh_parser import parse_bvh
 from gesturekit.motion import Motion, Skeleton
 
 SMALL = """HIERARCHY

@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
 from gesturekit.formats import Gltf, avatar_facts
-from gesturekit.formats.gltf.animation import Curve
-from gesturekit.formats.gltf.materials import Colours
-from gesturekit.formats.gltf.nodes import Nodes
+from gesturekit.formats.gltf.scene import Curve, Nodes
+from gesturekit.formats.gltf.vrm import Colours
 from gesturekit.motion import Motion
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from gesturekit.errors import FormatError, ModelError
 from gesturekit.formats import load_root_path
-from gesturekit.formats.tables import root_path
+from gesturekit.formats.tables import as_root_path
 from gesturekit.motion import RootPath
 
 
@@ -93,8 +93,8 @@ def test_paths_are_given_in_any_form(tmp_path, gesture):
     motion = gesture(1.0)
     own = RootPath.of(motion)
     motion.save(tmp_path / "walk.npz")
-    assert root_path.as_root_path(own) is own
+    assert as_root_path(own) is own
     for given in (motion, tmp_path / "walk.npz", str(tmp_path / "walk.npz")):
-        assert root_path.as_root_path(given).positions == pytest.approx(own.positions)
+        assert as_root_path(given).positions == pytest.approx(own.positions)
     with pytest.raises(ModelError, match="(?=.*int).*RootPath"):
-        root_path.as_root_path(3)
+        as_root_path(3)

@@ -23,7 +23,7 @@ from gesturekit.corpus import Manifest
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.evaluation import read_answers
 from gesturekit.formats import frames_rows, load_events, load_root_path, load_semantics, read_avatar
-from gesturekit.formats.smpl.easymocap import read_easymocap
+from gesturekit.formats.easymocap import read_easymocap
 from gesturekit.inspection import inspect
 from gesturekit.jobs import STATE, Result, Task, status_of
 from gesturekit.jobs.records import read_record, running, write_items, write_record

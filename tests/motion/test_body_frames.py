@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from rigs import at_rest, with_offsets
 
-from gesturekit.motion import BodyFrames, Skeleton, body_frames, find_parts
+from gesturekit.motion import BodyFrames, Skeleton, body_frames
 
 FOOT = 0.15
 
 
 def frames_of(rig: Skeleton) -> BodyFrames:
-    return body_frames(rig, find_parts(rig), at_rest(rig, 1).rotations[0])
+    return body_frames(rig, at_rest(rig, 1).rotations[0])
 
 
 def with_feet(rig: Skeleton, bone: tuple[float, float, float]) -> Skeleton:

@@ -204,7 +204,7 @@ def test_a_shape_in_a_skeleton_file_is_checked():
     assert Skeleton.from_json(values).body_shape == BodyShape((0.5,))
     for shape, says in (
         ({"gender": "man"}, "(?=.*'man').*female"),
-        ({"betas": [float("nan")]}, r"(?=.*betas).*\(1,\)"),
+        ({"betas": [float("nan")]}, "(?=.*betas).*nan"),
         ({"betas": [0.1] * 1001}, r"(?=.*\b1001\b).*\b1000"),
         ({"pelvis": [0.0, 1.0]}, r"(?=.*pelvis).*\b2\b"),
         ({"weight": 80}, "weight"),

@@ -4,7 +4,7 @@ import numpy as np
 from rigs import PERSON, rig_of
 
 from gesturekit.motion import Skeleton, foot_points
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts.body_size import real_end_sites
 from gesturekit.postprocess import find_feet
 
 

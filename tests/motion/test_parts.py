@@ -263,13 +263,13 @@ def test_parts_named_by_hand():
     with pytest.raises(MotionError, match="left_elbow=JOINT"):
         find_parts(skeleton)
     named = numbered_limbs(plain)
-    parts = find_parts(skeleton, overrides=named)
+    parts = find_parts(skeleton.with_parts(named))
     assert parts.pelvis == "Joint0" and parts.spine == ("Joint1", "Joint2", "Joint3")
-    # A skeleton that holds them needs no overrides, and keeps them.
+    # A skeleton keeps them.
     holding = Skeleton.from_json(replace(skeleton, parts=named).to_json())
     assert find_parts(holding) == parts == find_parts(holding.scaled(2.0))
     with pytest.raises(MotionError, match="left_elbo"):
-        find_parts(skeleton, overrides={"left_elbo": "Joint1"})
+        find_parts(skeleton.with_parts({"left_elbo": "Joint1"}))
     with pytest.raises(MotionError, match=r"(?=.*left_elbow).*'Joint99'"):
         replace(skeleton, parts={"left_elbow": "Joint99"})
 
@@ -289,7 +289,8 @@ def test_parts_named_by_hand():
 )
 def test_wrong_parts_fail_loudly(mixamo, overrides, says):
     with pytest.raises(MotionError, match=says):
-        find_parts(mixamo, {part: f"mixamorig:{name}" for part, name in overrides.items()})
+        by_hand = {part: f"mixamorig:{name}" for part, name in overrides.items()}
+        find_parts(mixamo.with_parts(by_hand))
 
 
 def test_labels(mixamo):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Motion
 from gesturekit.motion.heading import heading
-from gesturekit.motion.ik.legs import reach_feet
+from gesturekit.motion.ik import reach_feet
 from gesturekit.postprocess import Placement
 
 RIG = rig_of(PERSON).scaled(1.4 / 1.44)

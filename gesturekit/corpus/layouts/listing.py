@@ -10,7 +10,7 @@ from pathlib import Path
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
-from gesturekit.formats.tables.table import read_table
+from gesturekit.formats.tables import read_table
 from gesturekit.wording import counted, listed
 
 _SHOWN = 20

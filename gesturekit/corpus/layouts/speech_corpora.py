@@ -21,7 +21,7 @@ from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.layouts.listing import Listing, existing, root_with, rows
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
-from gesturekit.formats.smpl.seamless import FPS
+from gesturekit.formats.amass import FPS
 
 _BEAT_INDEX = "train_test_split.csv"
 _BEAT_SPLITS = {"train": "train", "val": "valid", "test": "test"}

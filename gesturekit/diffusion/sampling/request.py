@@ -26,7 +26,7 @@ from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, last_step_with_si
 from gesturekit.diffusion.sampling.members import Member
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.root_path import as_root_path
+from gesturekit.formats.tables import as_root_path
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath

@@ -115,9 +115,9 @@ class UnpairedRig:
         if not first_difference(motion.skeleton, self.usual.skeleton):
             return motion
         try:
-            motion = retarget(
-                motion, self.usual.skeleton, target_parts=self.parts, pose=self._standing_pose
-            )
+            rig = self.usual.skeleton.with_parts(self.parts)
+            motion = retarget(motion, rig, pose=self._standing_pose)
+            motion = replace(motion, skeleton=self.usual.skeleton)
         except MotionError as error:
             raise CorpusError(
                 f"{self.source}: item {item.id}: cannot be retargeted to the rig of {self.corpus}: "

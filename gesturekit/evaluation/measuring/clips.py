@@ -17,7 +17,7 @@ from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, ItemInterval, Pair
-from gesturekit.formats.tables.semantics import load_semantics
+from gesturekit.formats.tables import load_semantics
 from gesturekit.motion import Motion
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
 from gesturekit.motion.parts.body_size import body_scale

@@ -114,13 +114,12 @@ class Gltf:
         try:
             if path.exists() and not path.is_file():
                 raise self.error(f"{which}not a regular file")
-            if (size := path.stat().st_size) > MAX_BYTES:
-                raise self.error(
-                    f"{which}{size >> 20} MiB; files of up to {MAX_BYTES >> 20} are read"
-                )
-            if self.size + size > MAX_BYTES:
-                raise self.error(f"its files together have over {MAX_BYTES >> 20} MiB")
+            size = path.stat().st_size
             self.size += size
+            if self.size > MAX_BYTES:
+                raise self.error(
+                    f"{which}{size >> 20} MiB; up to {MAX_BYTES >> 20} MiB of files are read"
+                )
             self._decoded += _DECODED_PER_BYTE * size
             self._work += _WORK_PER_BYTE * size
             return path.read_bytes()
@@ -137,15 +136,15 @@ class Gltf:
         if sum(map(text.count, (b",", b"[", b"{"))) > _MAX_VALUES:
             raise self.error(f"its JSON part has over {_MAX_VALUES} values")
         try:
-            found = json.loads(text)
+            parsed = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise self.error(f"its JSON part cannot be read: {str(error)[:200]}") from None
-        if not isinstance(found, dict):
+        if not isinstance(parsed, dict):
             raise self.error("its JSON part is not an object")
-        version = self.object(found, "asset").get("version", "2.0")
+        version = self.object(parsed, "asset").get("version", "2.0")
         if not str(version).startswith("2."):
             raise self.error(f"glTF version {str(version)[:20]}; expected 2.0")
-        return found
+        return parsed
 
     def _json_chunk(self, content: bytes) -> bytes:
         if len(content) < 20 or content[:4] != b"glTF":
@@ -198,21 +197,21 @@ class Gltf:
 
     def values(self, parent: dict[str, Any], key: str) -> list[Any]:
         """Return the list at a key of an object; an empty one if there is none."""
-        found = parent.get(key, [])
-        if not isinstance(found, list) or len(found) > _MAX_ITEMS:
+        entries = parent.get(key, [])
+        if not isinstance(entries, list) or len(entries) > _MAX_ITEMS:
             raise self.error(f"{key} is not a list of at most {_MAX_ITEMS}")
-        return found
+        return entries
 
     def items(self, key: str, parent: dict[str, Any] | None = None) -> list[dict[str, Any]]:
         """Return a list of objects of the file, or of one of its objects."""
-        found = self.values(self.json if parent is None else parent, key)
+        entries = self.values(self.json if parent is None else parent, key)
         if parent is None and key in self._checked:
-            return found
-        if not all(isinstance(item, dict) for item in found):
+            return entries
+        if not all(isinstance(item, dict) for item in entries):
             raise self.error(f"{key} holds something that is not an object")
         if parent is None:
             self._checked.add(key)
-        return found
+        return entries
 
     def item(self, key: str, index: Any) -> dict[str, Any]:
         """Return the object at an index of a list of the file."""
@@ -221,10 +220,10 @@ class Gltf:
 
     def object(self, parent: dict[str, Any], key: str) -> dict[str, Any]:
         """Return the object at a key of another; an empty one if there is none."""
-        found = parent.get(key, {})
-        if not isinstance(found, dict):
+        child = parent.get(key, {})
+        if not isinstance(child, dict):
             raise self.error(f"{key} is not an object")
-        return found
+        return child
 
     def whole(self, value: Any, below: int, what: str) -> int:
         """Return a number that must be whole, at least 0, and below another."""
@@ -238,13 +237,13 @@ class Gltf:
 
     def numbers(self, parent: dict[str, Any], key: str, default: list[float]) -> np.ndarray:
         """Return numbers (N,), as many as the default has."""
-        found = parent.get(key, default)
-        right = isinstance(found, list) and len(found) == len(default)
-        if not right or not all(type(x) in (int, float) and abs(x) <= FARTHEST for x in found):
+        values = parent.get(key, default)
+        right = isinstance(values, list) and len(values) == len(default)
+        if not right or not all(type(x) in (int, float) and abs(x) <= FARTHEST for x in values):
             raise self.error(
-                f"{key} is {str(found)[:60]}; expected {len(default)} numbers up to {FARTHEST:g}"
+                f"{key} is {str(values)[:60]}; expected {len(default)} numbers up to {FARTHEST:g}"
             )
-        return np.array(found, float)
+        return np.array(values, float)
 
     def buffer(self, index: Any) -> bytes:
         """Return the bytes of a buffer; without a uri it is the array part of a binary file."""
@@ -277,14 +276,14 @@ class Gltf:
         accessors = self.items("accessors")
         at = self.whole(index, len(accessors), f"accessor of {what}")
         if at not in self._arrays:
-            found = self._read(accessors[at], what)
-            if found.dtype.kind == "f" and not (np.abs(found) <= FARTHEST).all():
+            numbers = self._read(accessors[at], what)
+            if numbers.dtype.kind == "f" and not (np.abs(numbers) <= FARTHEST).all():
                 raise self.error(f"{what} holds numbers that are not finite, or over {FARTHEST:g}")
-            self._arrays[at] = found
-        found = self._arrays[at]
-        if found.shape[1] != width:
-            raise self.error(f"{what} has {found.shape[1]} numbers an element; expected {width}")
-        return found
+            self._arrays[at] = numbers
+        numbers = self._arrays[at]
+        if numbers.shape[1] != width:
+            raise self.error(f"{what} has {numbers.shape[1]} numbers an element; expected {width}")
+        return numbers
 
     def _read(self, accessor: dict[str, Any], what: str) -> np.ndarray:
         kind, component = accessor.get("type"), accessor.get("componentType")
@@ -293,25 +292,25 @@ class Gltf:
         dtype, width = self._dtype(component, what), _TYPES[kind]
         if "bufferView" in accessor:
             count = accessor.get("count")
-            found = self._elements(accessor, dtype, width, count, what)
+            array = self._elements(accessor, dtype, width, count, what)
         else:
             count = self.whole(accessor.get("count"), MAX_BYTES, f"count of {what}")
             self._spend(count * width, dtype, what)
-            found = np.zeros((count, width), dtype)
+            array = np.zeros((count, width), dtype)
         if "sparse" in accessor:
             sparse = self.object(accessor, "sparse")
             places, values = self.object(sparse, "indices"), self.object(sparse, "values")
             n = sparse.get("count")
             kind = self._dtype(places.get("componentType"), what)
             at = self._elements(places, kind, 1, n, f"indices of {what}")[:, 0]
-            if kind.kind != "u" or (len(at) and at.max() >= len(found)):
-                raise self.error(f"indices of {what} are beyond its {len(found)} elements")
-            found[at] = self._elements(values, dtype, width, n, f"values of {what}")
+            if kind.kind != "u" or (len(at) and at.max() >= len(array)):
+                raise self.error(f"indices of {what} are beyond its {len(array)} elements")
+            array[at] = self._elements(values, dtype, width, n, f"values of {what}")
         if accessor.get("normalized") is True and dtype.kind in "iu":
-            self._spend(found.size, np.dtype(float), what)
-            found = found / np.iinfo(dtype).max
-            return np.maximum(found, -1.0, out=found)
-        return found
+            self._spend(array.size, np.dtype(float), what)
+            array = array / np.iinfo(dtype).max
+            return np.maximum(array, -1.0, out=array)
+        return array
 
     def _spend(self, size: int, dtype: np.dtype, what: str) -> None:
         self.spend(what, decoded=size * dtype.itemsize, work=size // 4)

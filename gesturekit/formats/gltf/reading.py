@@ -16,9 +16,8 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import AXES, USUAL_FORWARD, FileAxes, file_axes, with_y_up
-from gesturekit.formats.gltf.animation import read_animation
 from gesturekit.formats.gltf.file import Gltf
-from gesturekit.formats.gltf.nodes import AT_REST, Nodes
+from gesturekit.formats.gltf.scene import AT_REST, Nodes, read_animation
 from gesturekit.formats.gltf.vrm import avatar_bones
 from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion
@@ -78,16 +77,16 @@ def read_gltf(
     joints, ends = _joints(gltf, nodes)
     names, renamed = _names(gltf, joints)
     moving = nodes.with_ancestors(joints)
-    found = read_animation(gltf, set(moving), animation)
+    chosen = read_animation(gltf, set(moving), animation)
     try:
-        times, rate = found.frames(fps, gltf, (_MOST + gltf.size // 8) // len(moving))
+        times, rate = chosen.frames(fps, gltf, (_MOST + gltf.size // 8) // len(moving))
         rig = _rest(nodes, joints, ends, names, METRES[unit])
-        motion = _moved(rig, nodes.world(joints, found.curves, times), METRES[unit], rate)
+        motion = _moved(rig, nodes.world(joints, chosen.curves, times), METRES[unit], rate)
         motion = _in_our_axes(motion, up, forward)
     except MotionError as error:
         raise gltf.error(str(error)) from None
     motion.info.update(source=str(path), unit=unit, renamed=renamed)
-    motion.info.update(animation=found.name, start=float(times[0]))
+    motion.info.update(animation=chosen.name, start=float(times[0]))
     likely, is_sure = guess_unit(motion.skeleton, motion.rotations[0])
     if unit == "m" and is_sure and likely != "m":
         warnings.warn(
@@ -107,18 +106,20 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
     named = _named_joints(gltf, nodes)
     if not named:
         raise gltf.error("no skeleton in it: neither a skin nor an animated node")
-    inside = set(named)
+    inside, below = set(named), set(named)
     for node in nodes.order:
         if nodes.parents[node] in inside and not entries[node].keys() & {"mesh", "camera"}:
             inside.add(node)
-    inside = _closed(nodes, inside)
+        if nodes.parents[node] in below:
+            below.add(node)
+    inside = below & set(nodes.with_ancestors(list(inside)))  # also those between two of them
     trees = _trees(nodes, inside)
     root = max(trees, key=lambda node: len(trees[node]))
     above = nodes.parents[root]
     if above >= 0 and len(trees[root]) < _BODY * len(inside):
         beside = [node for node in trees if nodes.parents[node] == above]
         if len(beside) > 1:
-            trees[above] = [above, *(node for one in beside for node in trees.pop(one))]
+            trees[above] = [above, *(node for tree in beside for node in trees.pop(tree))]
             root = above
     tree = set(trees.pop(root))
     if trees:
@@ -140,32 +141,23 @@ def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
     """Return joints of all skins and bones of an avatar, or nodes that are animated, and above."""
     entries = gltf.items("nodes")
     n_nodes = len(entries)
-    found = {j for skin in gltf.items("skins") for j in gltf.wholes(skin, "joints", n_nodes)}
+    joints = {j for skin in gltf.items("skins") for j in gltf.wholes(skin, "joints", n_nodes)}
     if gltf.object(gltf.json, "extensions").keys() & {"VRM", "VRMC_vrm"}:
         with suppress(FormatError):  # a humanoid with missing bones has joints all the same
-            found |= set(avatar_bones(gltf)[0])
-    if found:
-        return found
+            joints |= set(avatar_bones(gltf)[0])
+    if joints:
+        return joints
     for animation in gltf.items("animations"):
         for channel in gltf.items("channels", animation):
             target = gltf.object(channel, "target")
             if target.get("path") in ("rotation", "translation") and "node" in target:
-                found.add(gltf.whole(target["node"], n_nodes, "node of a channel"))
+                joints.add(gltf.whole(target["node"], n_nodes, "node of a channel"))
     whole: set[int] = set()
-    for node in nodes.with_ancestors(list(found)):
-        is_holder = node not in found and len(entries[node].get("children", [])) == 1
+    for node in nodes.with_ancestors(list(joints)):
+        is_holder = node not in joints and len(entries[node].get("children", [])) == 1
         if nodes.parents[node] in whole or not is_holder:
             whole.add(node)
     return whole
-
-
-def _closed(nodes: Nodes, joints: set[int]) -> set[int]:
-    """Return joints and the nodes that lie between two of them."""
-    below = set(joints)
-    for node in nodes.order:
-        if nodes.parents[node] in below:
-            below.add(node)
-    return below & set(nodes.with_ancestors(list(joints)))
 
 
 def _trees(nodes: Nodes, joints: set[int]) -> dict[int, list[int]]:
@@ -182,10 +174,10 @@ def _trees(nodes: Nodes, joints: set[int]) -> dict[int, list[int]]:
 def _names(gltf: Gltf, joints: list[int]) -> tuple[list[str], dict[str, str]]:
     """Return unique names of joints, and new name to name in the file."""
     entries = gltf.items("nodes")
-    found = [str(entries[node].get("name", "")) for node in joints]
-    named = [printable(name).strip() or f"node_{node}" for name, node in zip(found, joints)]
+    labels = [str(entries[node].get("name", "")) for node in joints]
+    named = [printable(name).strip() or f"node_{node}" for name, node in zip(labels, joints)]
     names = unique_names(named)
-    return names, {new: old for new, old in zip(names, found) if new != old}
+    return names, {new: old for new, old in zip(names, labels) if new != old}
 
 
 def _rest(
@@ -228,11 +220,11 @@ def _moved(
 
 def _in_our_axes(motion: Motion, up: str, forward: str) -> Motion:
     """Return the motion with Y up and +Z forward; its rest pose stands and faces +Z if it can."""
-    found = file_axes(motion)
+    axes = file_axes(motion)
     forward = USUAL_FORWARD.get(up, "z") if forward == "auto" else forward
     if not {up, forward}.issubset(AXES):
         raise MotionError(f"axes {up!r} and {forward!r}; expected {', '.join(AXES)}")
-    rest = found.rest or (None if "forward" in found.guessed else (found.up, found.forward))
+    rest = axes.rest or (None if "forward" in axes.guessed else (axes.up, axes.forward))
     motion = with_y_up(motion, FileAxes(up, forward, rest))
     motion.info.update(up=up, forward=forward)
     return motion

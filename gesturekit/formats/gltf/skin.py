@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gesturekit.motion.body_model.model import BodyModel
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.rotations import steady_signs
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -104,13 +105,3 @@ def whole_weights(joints: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, 
 def steady_turns(motion: Motion) -> np.ndarray:
     """Return (T, J, 4) world rotations with continuous signs."""
     return steady_signs(motion.global_rotations())
-
-
-def steady_signs(turns: np.ndarray) -> np.ndarray:
-    """Return rotations (T, ..., 4) with continuous signs.
-
-    q and -q are the same rotation; the nearer one in each frame can be interpolated.
-    """
-    along = (turns[1:] * turns[:-1]).sum(axis=-1)
-    signs = np.cumprod(np.where(along < 0, -1.0, 1.0), axis=0)
-    return np.concatenate([turns[:1], turns[1:] * signs[..., None]])

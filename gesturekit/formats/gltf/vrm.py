@@ -2,26 +2,132 @@
 
 Hair, skirts and other bones without a counterpart move with the nearest bone above that has one;
 expressions are left out.
+
+A vertex has the colour of its material, from the base colour and its texture.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
 from gesturekit.errors import GestureKitError
 from gesturekit.formats.gltf.file import Gltf
-from gesturekit.formats.gltf.materials import Colours, is_seen, reduce_colours
-from gesturekit.formats.gltf.nodes import Nodes
-from gesturekit.formats.gltf.skin import INFLUENCES, Skin, whole_weights
+from gesturekit.formats.gltf.scene import Nodes
+from gesturekit.formats.gltf.skin import INFLUENCES, Skin, unique_rows, whole_weights
 from gesturekit.motion import Skeleton
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import printable
+
+_FORMATS = ("PNG", "JPEG", "WEBP")
+_MOST_PIXELS, _USUAL_PIXELS = 1 << 26, 1 << 24
+"""Most pixels of a texture, and of one in a small file; each byte of a file allows two more."""
+_SIDE = 512
+"""Textures are reduced to this many pixels: vertices are far apart."""
+_PALETTE = 128
+"""Colours of an avatar."""
+_CUT = 0.5
+"""Faces of materials with holes that are less opaque are left out."""
+
+
+class Colours:
+    """Colours of the materials of a file."""
+
+    def __init__(self, glb: Gltf) -> None:
+        self._glb = glb
+        self._images: dict[int, np.ndarray | None] = {}
+
+    def at(self, material: object, uv: np.ndarray | None, n_points: int) -> np.ndarray:
+        """Return RGBA (N, 4) of a material at texture coordinates (N, 2), 0 to 1, sRGB.
+
+        Opaque materials have an alpha of 1.
+
+        Warns:
+            UserWarning: a texture that cannot be read; its base colour is used.
+        """
+        if material is None:
+            return np.broadcast_to([0.8, 0.8, 0.8, 1.0], (n_points, 4))
+        glb = self._glb
+        entry = glb.item("materials", material)
+        surface = glb.object(entry, "pbrMetallicRoughness")
+        factor = np.clip(glb.numbers(surface, "baseColorFactor", [1.0] * 4), 0, 1)
+        factor[:3] = np.where(
+            factor[:3] <= 0.0031308, 12.92 * factor[:3], 1.055 * factor[:3] ** (1 / 2.4) - 0.055
+        )
+        rgba = np.broadcast_to(factor, (n_points, 4)).copy()
+        texture = self._texture(glb.object(surface, "baseColorTexture"))
+        if texture is not None and uv is not None:
+            height, width = texture.shape[:2]
+            column, row = ((uv % 1.0) * [width, height]).astype(int).T
+            rgba *= texture[np.minimum(row, height - 1), np.minimum(column, width - 1)] / 255
+        if entry.get("alphaMode", "OPAQUE") == "OPAQUE":
+            rgba[:, 3] = 1.0
+        return rgba
+
+    def _texture(self, reference: dict[str, Any]) -> np.ndarray | None:
+        """Return the RGBA image (H, W, 4) uint8 of a texture."""
+        if "index" not in reference:
+            return None
+        glb = self._glb
+        texture = glb.item("textures", index := reference["index"])
+        extensions = glb.object(texture, "extensions")
+        source = texture.get("source", glb.object(extensions, "EXT_texture_webp").get("source"))
+        image = {} if source is None else glb.item("images", source)
+        at = ~index if source is None else source
+        if at not in self._images:
+            name = image.get("name") or texture.get("name") or index
+            self._images[at] = self._image(image, str(name)[:60], ", ".join(extensions))
+        return self._images[at]
+
+    def _image(self, image: dict[str, Any], name: str, extensions: str) -> np.ndarray | None:
+        """Return the image of a texture; None, with a warning, if it cannot be read."""
+        glb = self._glb
+        try:
+            if "bufferView" in image:
+                data = glb.view(image["bufferView"])
+            else:
+                data = glb.resource(image.get("uri"))
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", Image.DecompressionBombWarning)
+                with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
+                    n_pixels = opened.width * opened.height
+                    if n_pixels > min(_MOST_PIXELS, _USUAL_PIXELS + 2 * glb.size):
+                        raise ValueError(f"{opened.width} by {opened.height} pixels")
+                    kept = 4 * min(n_pixels, _SIDE * _SIDE)
+                    glb.spend("its images", decoded=kept, work=n_pixels // 6)
+                    opened.thumbnail((_SIDE, _SIDE))
+                    return np.asarray(opened.convert("RGBA"))
+        except Exception as error:  # Pillow's decoders raise anything
+            reason = str(error)[:120]
+            if isinstance(error, UnidentifiedImageError) or not image:
+                kind = image.get("mimeType") or extensions or "its image"
+                reason = f"{str(kind)[:60]} is none of {', '.join(_FORMATS)}"
+            warnings.warn(
+                f"{glb.path}: texture {printable(name)} cannot be read ({reason}): the base "
+                "colour of its material is used",
+                stacklevel=2,
+            )
+            return None
+
+
+def reduce_colours(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return few colours, (R, 3) uint8, and the indices (V,) of those of vertices (V, 3)."""
+    pixels = np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8)
+    first, regions = unique_rows(pixels)
+    palette = pixels[first]
+    if len(palette) > _PALETTE:
+        image = Image.fromarray(pixels[None]).quantize(_PALETTE, dither=Image.Dither.NONE)
+        regions = np.asarray(image)[0]
+        palette = np.array((image.getpalette() or [])[: 3 * _PALETTE], np.uint8).reshape(-1, 3)
+    return palette, regions.astype(np.uint8)
+
 
 _MAX_FACES = 600_000
 _TRIANGLES = 4
@@ -112,7 +218,7 @@ def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
         raise gltf.error("a bone of its humanoid is not below the hips")
     owners = np.maximum(owners, 0)  # what hangs on no bone moves with the hips
     rest = world[joints, :3, 3]
-    mesh = replace(_mesh(gltf, world, owners), rest=rest)
+    mesh = _MeshReader(gltf, world, owners).skin(rest)
     try:
         skeleton = _skeleton(names, above, rest, mesh)
         height = body_height(skeleton)
@@ -146,8 +252,8 @@ def avatar_facts(path: str | os.PathLike[str]) -> dict[str, Any]:
         n_bones = 0
 
     def text(*keys: str) -> str:
-        found = next((meta[key] for key in keys if meta.get(key)), "")
-        several = found if isinstance(found, list) else [found]
+        value = next((meta[key] for key in keys if meta.get(key)), "")
+        several = value if isinstance(value, list) else [value]
         return printable(", ".join(each for each in several if isinstance(each, str))[:200])
 
     names = [printable(str(each.get("name", "")))[:60] for each in gltf.items("animations")]
@@ -181,108 +287,82 @@ def avatar_bones(glb: Gltf) -> tuple[dict[int, str], bool]:
         listed = [(each.get("bone"), each) for each in glb.items("humanBones", humanoid)]
     ours = our_names(is_new)
     n_nodes = len(glb.items("nodes"))
-    found: dict[str, int] = {}
+    bones: dict[str, int] = {}
     for name, entry in listed:
         if isinstance(name, str) and name in ours:
-            found[name] = glb.whole(entry.get("node"), n_nodes, f"node of bone {name}")
-    missing = [name for name in _NEEDED if name not in found]
-    if missing:
+            bones[name] = glb.whole(entry.get("node"), n_nodes, f"node of bone {name}")
+    if missing := [name for name in _NEEDED if name not in bones]:
         raise glb.error(f"its humanoid has no bone {missing[0]!r}")
-    if len(set(found.values())) < len(found):
+    if len(set(bones.values())) < len(bones):
         raise glb.error("two bones of its humanoid are one node")
-    return {node: ours[name] for name, node in found.items()}, not is_new
+    return {node: ours[name] for name, node in bones.items()}, not is_new
 
 
 def _bones_by_name(glb: Gltf) -> dict[int, str]:
     """Return {node: our bone} of Mixamo's and Ready Player Me's rigs, which have our names."""
-    ours, found = our_names(True), dict[str, int]()
+    ours, bones = our_names(True), dict[str, int]()
     for node, entry in enumerate(glb.items("nodes")):
         name = _PREFIX.sub("", str(entry.get("name", "")), count=1)
         if name in ours.values():
-            found.setdefault(name, node)
-    if not found.keys() >= {ours[bone] for bone in _NEEDED}:
+            bones.setdefault(name, node)
+    if not bones.keys() >= {ours[bone] for bone in _NEEDED}:
         raise glb.error(
             "not a VRM avatar, nor one with Mixamo's names of bones: it does not say which node is "
             "which bone. Export it as VRM (VRoid Studio, UniVRM, the VRM add-on for Blender)"
         )
-    return {node: name for name, node in found.items()}
+    return {node: name for name, node in bones.items()}
 
 
-def _mesh(glb: Gltf, world: np.ndarray, owners: np.ndarray) -> Skin:
-    """Return all meshes at rest in the world, on the joints of the rig; `rest` is still empty."""
-    glb.refuse_compressed_meshes()
-    colours, skins, parts, n_faces = Colours(glb), _Skins(glb, world), [], 0
-    for node, entry in enumerate(glb.items("nodes")):
-        if "mesh" not in entry:
-            continue
-        for primitive in glb.items("primitives", glb.item("meshes", entry["mesh"])):
-            glb.spend("its pieces of mesh", work=_STEPS)
-            if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
-                continue  # points and lines; exporters write no strips
-            part = _Part(glb, primitive, colours)
-            n_faces += len(part.faces)
-            if n_faces > _MAX_FACES:
-                raise glb.error(f"over {_MAX_FACES} triangles")
-            if len(part.faces):
-                skin = entry.get("skin")
-                parts.append((part, *part.placed(node, skin, skins, owners)))
-    if not parts:
-        raise glb.error("it has no mesh of triangles")
-    firsts = np.cumsum([0, *(len(vertices) for _, vertices, _, _ in parts)])
-    palette, regions = reduce_colours(np.concatenate([part.colours for part, *_ in parts]))
-    return Skin(
-        vertices=np.concatenate([vertices for _, vertices, _, _ in parts]),
-        faces=np.concatenate(
-            [part.faces + first for (part, *_), first in zip(parts, firsts)]
-        ).astype(np.uint32),
-        joints=np.concatenate([joints for *_, joints, _ in parts]),
-        weights=np.concatenate([weights for *_, weights in parts]),
-        rest=np.empty((0, 3)),
-        regions=regions,
-        palette=palette,
-    )
+class _MeshReader:
+    """Meshes of a file at rest in the world, on the joints of the rig.
 
-
-class _Skins:
-    """Skins of a file, each read once.
-
-    Attributes:
-        world: (N, 4, 4) transforms of the nodes.
+    Args:
+        glb: the file.
+        world: (N, 4, 4) transforms of its nodes.
+        owners: (N,) joint of the rig with which each node moves.
     """
 
-    def __init__(self, glb: Gltf, world: np.ndarray) -> None:
-        self._glb, self.world = glb, world
-        self._read: dict[object, tuple[np.ndarray, np.ndarray]] = {}
+    def __init__(self, glb: Gltf, world: np.ndarray, owners: np.ndarray) -> None:
+        glb.refuse_compressed_meshes()
+        self._glb, self._world, self._owners = glb, world, owners
+        self._colours = Colours(glb)
+        self._skins: dict[object, tuple[np.ndarray, np.ndarray]] = {}
 
-    def at(self, index: object) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nodes (J,) of a skin's joints, and the transforms (J, 4, 4) of vertices."""
+    def skin(self, rest: np.ndarray) -> Skin:
+        """Return all meshes, on joints at `rest` (J, 3)."""
+        glb, pieces, n_faces, n_vertices = self._glb, [], 0, 0
+        for node, entry in enumerate(glb.items("nodes")):
+            if "mesh" not in entry:
+                continue
+            for primitive in glb.items("primitives", glb.item("meshes", entry["mesh"])):
+                glb.spend("its pieces of mesh", work=_STEPS)
+                if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
+                    continue  # points and lines; exporters write no strips
+                attributes = glb.object(primitive, "attributes")
+                faces, used, colours = self._faces(primitive, attributes)
+                n_faces += len(faces)
+                if n_faces > _MAX_FACES:
+                    raise glb.error(f"over {_MAX_FACES} triangles")
+                if len(faces):
+                    placed = self._placed(node, entry.get("skin"), attributes, used)
+                    pieces.append((faces + n_vertices, colours, *placed))
+                    n_vertices += len(used)
+        if not pieces:
+            raise glb.error("it has no mesh of triangles")
+        faces, colours, vertices, joints, weights = map(np.concatenate, zip(*pieces))
+        palette, regions = reduce_colours(colours)
+        return Skin(vertices, faces.astype(np.uint32), joints, weights, rest, regions, palette)
+
+    def _faces(
+        self, primitive: dict[str, Any], attributes: dict[str, Any]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the visible faces (F, 3) of a piece of mesh.
+
+        Also the vertices that they use, (V,) rows of its attributes, and their colours, (V, 3) RGB,
+        0 to 1.
+        """
         glb = self._glb
-        found = glb.item("skins", index)
-        if index not in self._read:
-            nodes = np.array(glb.wholes(found, "joints", len(self.world)), int)
-            glb.spend("its skins", decoded=_SKINNED * len(nodes), work=len(nodes))
-            moves = self.world[nodes]
-            if "inverseBindMatrices" in found:
-                inverse = glb.array(found["inverseBindMatrices"], "inverseBindMatrices", 16)
-                if len(inverse) < len(nodes):
-                    raise glb.error(f"{len(inverse)} inverseBindMatrices for {len(nodes)} joints")
-                inverse = inverse[: len(nodes)].astype(float).reshape(-1, 4, 4)
-                moves = moves @ inverse.swapaxes(1, 2)
-            self._read[index] = nodes, moves
-        return self._read[index]
-
-
-class _Part:
-    """A piece of mesh, with the vertices that its faces use.
-
-    Attributes:
-        faces: (F, 3) indices.
-        colours: (V, 3) RGB, 0 to 1.
-    """
-
-    def __init__(self, glb: Gltf, primitive: dict[str, Any], colours: Colours) -> None:
-        self._glb, self._attributes = glb, glb.object(primitive, "attributes")
-        places = glb.array(self._attributes.get("POSITION"), "POSITION", 3)
+        places = glb.array(attributes.get("POSITION"), "POSITION", 3)
         if places.dtype.kind != "f":
             raise glb.error("POSITION holds no floats")
         if "indices" in primitive:
@@ -299,50 +379,69 @@ class _Part:
         used, faces = np.unique(corners, return_inverse=True)
         faces = faces.reshape(-1, 3)
         glb.spend("its vertices", decoded=_VERTEX * len(used), work=len(used))
-        uv = self._rows("TEXCOORD_0", used, 2)
-        rgba = colours.at(primitive.get("material"), uv, len(used))
-        faces = faces[is_seen(rgba[:, 3][faces])]
+        uv = self._rows(attributes, "TEXCOORD_0", used, 2)
+        rgba = self._colours.at(primitive.get("material"), uv, len(used))
+        faces = faces[rgba[:, 3][faces].mean(axis=1) >= _CUT]
         kept, faces = np.unique(faces, return_inverse=True)
-        self.faces, self._used, self.colours = faces.reshape(-1, 3), used[kept], rgba[kept, :3]
-        self._places = places[self._used].astype(float)
+        return faces.reshape(-1, 3), used[kept], rgba[kept, :3]
 
-    def _rows(self, name: str, rows: np.ndarray, width: int) -> np.ndarray | None:
+    def _rows(
+        self, attributes: dict[str, Any], name: str, rows: np.ndarray, width: int
+    ) -> np.ndarray | None:
         """Return rows of an attribute, or None if the mesh lacks it."""
-        if name not in self._attributes:
+        if name not in attributes:
             return None
-        found = self._glb.array(self._attributes[name], name, width)
-        if len(rows) and rows.max() >= len(found):
-            raise self._glb.error(f"{name} has {len(found)} elements, fewer than vertices")
-        return found[rows]
+        values = self._glb.array(attributes[name], name, width)
+        if len(rows) and rows.max() >= len(values):
+            raise self._glb.error(f"{name} has {len(values)} elements, fewer than vertices")
+        return values[rows]
 
-    def placed(
-        self, node: int, skin: object, skins: _Skins, owners: np.ndarray
+    def _placed(
+        self, node: int, skin: object, attributes: dict[str, Any], used: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return vertices (V, 3) in the world, joints and weights (V, 4) as in `Skin`."""
         glb = self._glb
-        names = ("JOINTS_0", "WEIGHTS_0")
-        joints, weights = (self._rows(name, self._used, INFLUENCES) for name in names)
+        places = glb.array(attributes["POSITION"], "POSITION", 3)[used].astype(float)
+        joints = self._rows(attributes, "JOINTS_0", used, INFLUENCES)
+        weights = self._rows(attributes, "WEIGHTS_0", used, INFLUENCES)
         if skin is None or joints is None or weights is None:
-            world = skins.world[node]
-            moved = self._places @ world[:3, :3].T + world[:3, 3]
+            world = self._world[node]
+            moved = places @ world[:3, :3].T + world[:3, 3]
             alone = np.zeros((len(moved), INFLUENCES))
             alone[:, 0] = 1.0
-            return moved, *whole_weights(np.full(alone.shape, owners[node]), alone)
-        nodes, moves = skins.at(skin)
+            return moved, *whole_weights(np.full(alone.shape, self._owners[node]), alone)
+        nodes, moves = self._skin_joints(skin)
         if joints.dtype.kind not in "iu" or joints.min() < 0 or joints.max() >= len(nodes):
             raise glb.error(f"JOINTS_0 is beyond the {len(nodes)} joints of its skin")
         if weights.dtype.kind != "f" or weights.min() < 0:
             raise glb.error("WEIGHTS_0 holds negative or whole numbers")
         total = weights.sum(axis=1, keepdims=True)
         weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), [[1.0, 0, 0, 0]])
-        moved = np.zeros(self._places.shape)
+        moved = np.zeros(places.shape)
         for k in range(INFLUENCES):
             each = moves[joints[:, k]]
-            place = np.einsum("vij,vj->vi", each[:, :3, :3], self._places) + each[:, :3, 3]
+            place = np.einsum("vij,vj->vi", each[:, :3, :3], places) + each[:, :3, 3]
             moved += weights[:, k, None] * place
         if not (np.abs(moved) < 1e4).all():
             raise glb.error("its mesh at rest is not finite, or kilometres wide")
-        return moved, *whole_weights(owners[nodes[joints]], weights)
+        return moved, *whole_weights(self._owners[nodes[joints]], weights)
+
+    def _skin_joints(self, index: object) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nodes (J,) of a skin's joints, and the transforms (J, 4, 4) of vertices."""
+        glb = self._glb
+        entry = glb.item("skins", index)
+        if index not in self._skins:
+            nodes = np.array(glb.wholes(entry, "joints", len(self._world)), int)
+            glb.spend("its skins", decoded=_SKINNED * len(nodes), work=len(nodes))
+            moves = self._world[nodes]
+            if "inverseBindMatrices" in entry:
+                inverse = glb.array(entry["inverseBindMatrices"], "inverseBindMatrices", 16)
+                if len(inverse) < len(nodes):
+                    raise glb.error(f"{len(inverse)} inverseBindMatrices for {len(nodes)} joints")
+                inverse = inverse[: len(nodes)].astype(float).reshape(-1, 4, 4)
+                moves = moves @ inverse.swapaxes(1, 2)
+            self._skins[index] = nodes, moves
+        return self._skins[index]
 
 
 def _skeleton(names: list[str], parents: list[int], joints: np.ndarray, mesh: Skin) -> Skeleton:

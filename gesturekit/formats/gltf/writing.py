@@ -10,18 +10,23 @@ import copy
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from gesturekit.formats.gltf.file import BIN, JSON, MAX_BYTES, Gltf
-from gesturekit.formats.gltf.nodes import Nodes
 from gesturekit.formats.gltf.reading import END_SITE
-from gesturekit.formats.gltf.skin import INFLUENCES, Skin, steady_signs
+from gesturekit.formats.gltf.scene import Nodes
+from gesturekit.formats.gltf.skin import INFLUENCES, Skin
 from gesturekit.formats.gltf.vrm import Avatar
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.rotations import IDENTITY, invert_quaternions, multiply_quaternions
+from gesturekit.motion.rotations import (
+    IDENTITY,
+    invert_quaternions,
+    multiply_quaternions,
+    steady_signs,
+)
 from gesturekit.motion.skeleton import Skeleton, unique_names
 
 _FLOAT, _BYTE, _SHORT, _INT = 5126, 5121, 5123, 5125
@@ -42,35 +47,11 @@ _VRM = ("VRM", "VRMC_vrm", "VRMC_springBone", "VRMC_node_constraint")
 """Extensions for programs that move the nodes themselves."""
 
 
-@dataclass(frozen=True)
-class Material:
-    """A material of one colour.
-
-    Attributes:
-        name: as programs show it.
-        colour: RGB, 0 to 255, sRGB.
-    """
-
-    name: str
-    colour: Sequence[int]
-
-    def json(self) -> dict[str, Any]:
-        """Return the object of the file, whose colours are linear."""
-        srgb = np.asarray(self.colour) / 255
-        linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-        surface = {
-            "baseColorFactor": [*np.round(linear, 4).tolist(), 1.0],
-            "metallicFactor": 0.0,
-            "roughnessFactor": _ROUGH,
-        }
-        return {"name": self.name, "pbrMetallicRoughness": surface}
-
-
 class _Builder:
     """JSON object and arrays of a file that is being made."""
 
-    def __init__(self, found: dict[str, Any]) -> None:
-        self.json = found
+    def __init__(self, json_object: dict[str, Any]) -> None:
+        self.json = json_object
         self._data = bytearray()
 
     def append(self, key: str, item: dict[str, Any]) -> int:
@@ -128,7 +109,7 @@ def animated_skeleton(
     motion: Motion,
     name: str,
     skin: Skin | None,
-    materials: Sequence[Material] = (),
+    colours: Mapping[str, Sequence[int]] = MappingProxyType({}),
     scale: float = 1.0,
     extensions: Mapping[str, Any] | None = None,
 ) -> bytes:
@@ -138,7 +119,7 @@ def animated_skeleton(
         motion: T frames, J joints.
         name: of the animation and the mesh.
         skin: the mesh; None for bones of the rig.
-        materials: of the skin's regions.
+        colours: name and colour (RGB, 0 to 255, sRGB) of the material of each region of the skin.
         scale: factor on the skin's vertices.
         extensions: by name, of a file without a mesh; node k is joint k.
     """
@@ -150,14 +131,14 @@ def animated_skeleton(
     if extensions:
         builder.json |= {"extensions": extensions, "extensionsUsed": [*extensions]}
     if is_bones:
-        skin, materials = bones(parents, rest), [Material("bones", _BONE)]
+        skin, colours = bones(parents, rest), {"bones": _BONE}
     if skin is not None and len(skin.faces):
         inverse = np.tile(np.eye(4), (len(rest), 1, 1))
         inverse[:, 3, :3] = -rest  # columns first
         matrices = builder.array(inverse.reshape(-1, 16))
         joints = list(range(len(rest)))
         builder.append("skins", {"joints": joints, "inverseBindMatrices": matrices})
-        primitives = _primitives(builder, skin, materials, scale, is_bones)
+        primitives = _primitives(builder, skin, colours, scale, is_bones)
         mesh = builder.append("meshes", {"name": name, "primitives": primitives})
         body = builder.append("nodes", {"name": f"{name}_mesh", "mesh": mesh, "skin": 0})
         builder.json["scenes"][0]["nodes"].append(body)
@@ -209,7 +190,11 @@ def bones(parents: Sequence[int], rest: np.ndarray) -> Skin:
 
 
 def _primitives(
-    builder: _Builder, skin: Skin, materials: Sequence[Material], scale: float, is_flat: bool
+    builder: _Builder,
+    skin: Skin,
+    colours: Mapping[str, Sequence[int]],
+    scale: float,
+    is_flat: bool,
 ) -> list[dict[str, Any]]:
     """Add the arrays and the material of each region of a skin; return their primitives.
 
@@ -221,7 +206,7 @@ def _primitives(
     normals[lost] = [0.0, 1.0, 0.0]
     joints = np.where(skin.weights > 0, skin.joints, 0)
     primitives = []
-    for region, material in enumerate(materials):
+    for region, (name, colour) in enumerate(colours.items()):
         faces = skin.faces[regions[skin.faces[:, 0]] == region]
         if not len(faces):
             continue
@@ -235,8 +220,16 @@ def _primitives(
         if not is_flat:
             attributes["NORMAL"] = builder.array(normals[used], use=_VERTICES)
         indices = builder.array(corners.reshape(-1, 1), _INT, _INDICES)
-        primitive = {"attributes": attributes, "indices": indices}
-        primitives.append(primitive | {"material": builder.append("materials", material.json())})
+        srgb = np.asarray(colour) / 255  # colours of the file are linear
+        linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+        surface = {
+            "baseColorFactor": [*np.round(linear, 4).tolist(), 1.0],
+            "metallicFactor": 0.0,
+            "roughnessFactor": _ROUGH,
+        }
+        material = builder.append("materials", {"name": name, "pbrMetallicRoughness": surface})
+        primitive = {"attributes": attributes, "indices": indices, "material": material}
+        primitives.append(primitive)
     return primitives
 
 
@@ -307,16 +300,16 @@ def animated_avatar(avatar: Avatar, motion: Motion, name: str, scale: float) -> 
 def _embedded(gltf: Gltf) -> _Builder:
     """Return a builder with all of a file in one buffer, but for animations and VRM's own data."""
     builder = _Builder(copy.deepcopy(gltf.json))
-    found = builder.json
-    found.pop("animations", None)
+    content = builder.json
+    content.pop("animations", None)
     buffers = [gltf.buffer(k) for k in range(len(gltf.items("buffers")))]
     starts = {data: builder.place(data) for data in dict.fromkeys(buffers)}
     images: dict[bytes, int] = {}
-    for view in gltf.items("bufferViews", found):
+    for view in gltf.items("bufferViews", content):
         buffer = gltf.whole(view.get("buffer"), len(buffers), "buffer")
         offset = gltf.whole(view.get("byteOffset", 0), MAX_BYTES, "byteOffset")
         view |= {"buffer": 0, "byteOffset": offset + starts[buffers[buffer]]}
-    for image in gltf.items("images", found):
+    for image in gltf.items("images", content):
         if "uri" in image:
             data = gltf.resource(image.pop("uri"))
             kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
@@ -324,14 +317,16 @@ def _embedded(gltf: Gltf) -> _Builder:
             if data not in images:
                 images[data] = builder.view(data, {})
             image |= {"bufferView": images[data], "mimeType": f"image/{kind}"}
-    for holder in (found, *found["nodes"]):
+    for holder in (content, *content["nodes"]):
         extensions = gltf.object(holder, "extensions")
         for name in _VRM:
             extensions.pop(name, None)
         if not extensions:
             holder.pop("extensions", None)
     for key in ("extensionsUsed", "extensionsRequired"):
-        found[key] = [name for name in map(str, gltf.values(found, key)) if name not in _VRM]
-        if not found[key]:
-            del found[key]
+        names = [name for name in map(str, gltf.values(content, key)) if name not in _VRM]
+        if names:
+            content[key] = names
+        else:
+            content.pop(key, None)
     return builder

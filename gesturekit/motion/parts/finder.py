@@ -4,20 +4,28 @@ Left and right come first: a joint is on the left if its name contains a mark of
 ("Left", "l_", ".L", a leading "L", ...) and the name with the mark of the right side exists. Then
 elbows and knees are found by name, because their names are the least ambiguous ("RightShoulder" is
 a clavicle in one file and an upper arm in the next), and all other parts by their position in the
-tree. Limbs without informative names are identified by the shape of the rig (`limb_shapes`). A rig
+tree. Limbs without informative names are identified by the shape of the rig (`limbs`). A rig
 has no legs if names and the user identify none, and no chain on its trunk is long enough for one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts.checks import bone_length, check_limbs
-from gesturekit.motion.parts.joint_names import SIDES, bare_name, named_pairs, named_side
-from gesturekit.motion.parts.limb_shapes import Limbs, find_limbs
+from gesturekit.motion.parts.limbs import (
+    SIDES,
+    Limbs,
+    bare_name,
+    bone_length,
+    check_limbs,
+    find_limbs,
+    named_pairs,
+    named_side,
+)
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import listed
 
@@ -25,6 +33,7 @@ ARM = ("clavicle", "shoulder", "elbow", "wrist")
 LEG = ("hip", "knee", "ankle", "toe")
 KNOWN_PARTS = ("head", *(f"{side}_{part}" for side in SIDES for part in (*ARM, *LEG)))
 """Parts that a user can specify."""
+_LEGS = [f"{side}_{part}" for side in SIDES for part in LEG]
 
 _ELBOW = ("forearm", "lowerarm", "lowarm", "elbow", "radius")
 _KNEE = ("knee", "shin", "calf", "tibia", "lowerleg", "lowleg", "leg")
@@ -44,46 +53,73 @@ _MANY_LEGS, _ALIKE = 6, 0.8
 animal with more than two."""
 
 
-def find_leg_joints(skeleton: Skeleton) -> dict[str, int | None] | None:
-    """Return part ("left_hip", ...) to joint of both legs, by name or by hand; None without them.
-
-    It works on rigs whose other parts cannot be identified.
-    """
-    finder = PartFinder.__new__(PartFinder)
-    finder._read_names(skeleton, skeleton.parts)
-    for side in SIDES:
-        finder._leg(side)
-    if finder.missing or finder.has_many_legs():
-        return None
-    try:
-        check_limbs(skeleton, finder.limbs, guessed=False)
-    except MotionError:
-        return None
-    return finder.limbs
-
-
 class PartFinder:
     """Limbs, trunk and end joints of one rig, as joint indices.
 
     Attributes:
         limbs: part ("left_elbow", ...) to joint; None if the rig has none.
+        missing: parts that every person has, and that were not found.
         has_legs: False if the rig has arms, and nothing that could be a leg.
         pelvis, spine, neck, head: the trunk; `neck` is all joints between spine and head.
         ends: leaves that only mark the end of a bone.
     """
 
-    def __init__(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
-        self._read_names(skeleton, by_hand)
+    def __init__(self, skeleton: Skeleton) -> None:
+        """Read side and bone of each joint from its name, and the parts specified by hand."""
+        for key in skeleton.parts:
+            if key not in KNOWN_PARTS:
+                raise MotionError(
+                    f"no part is called {key!r}; expected {', '.join(sorted(KNOWN_PARTS))}"
+                )
+        self.skeleton = skeleton
+        self.by_hand = {key: skeleton.index(name) for key, name in skeleton.parts.items()}
+        self.side = [""] * skeleton.n_joints
+        for pair in named_pairs(skeleton):
+            for side, name in zip(SIDES, pair):
+                self.side[skeleton.index(name)] = side
+        self.bare = [bare_name(name, side) for name, side in zip(skeleton.names, self.side)]
+        self.missing: list[str] = []
+        self.has_legs = True
+        self.limbs: dict[str, int | None] = {}
+        self.ends = {
+            j
+            for j in range(skeleton.n_joints)
+            if skeleton.is_leaf(j) and self.bare[j].endswith(_END)
+        }
+
+    @classmethod
+    def complete(cls, skeleton: Skeleton) -> PartFinder:
+        """Return all parts of a rig.
+
+        Raises:
+            MotionError: parts that cannot be identified, or are implausible.
+        """
+        finder = cls(skeleton)
         for side in SIDES:
-            self._arm(side)
-            self._leg(side)
-        self.has_legs = not self._is_legless()
-        if not self.has_legs:
-            self.missing.clear()
-        guessed = bool(by_hand or self.missing)
-        shape = self._limbs_by_shape() if self.missing else None
-        check_limbs(skeleton, self.limbs, guessed)
-        self._trunk(shape)
+            finder._arm(side)
+            finder._leg(side)
+        finder.has_legs = not finder._is_legless()
+        if not finder.has_legs:
+            finder.missing.clear()
+        guessed = bool(finder.by_hand or finder.missing)
+        shape = finder._limbs_by_shape() if finder.missing else None
+        check_limbs(skeleton, finder.limbs, guessed)
+        finder._trunk(shape)
+        return finder
+
+    @classmethod
+    def of_legs(cls, skeleton: Skeleton) -> PartFinder | None:
+        """Return both legs, by name or by hand, of a rig whose other parts cannot be identified."""
+        finder = cls(skeleton)
+        for side in SIDES:
+            finder._leg(side)
+        if finder.missing or finder.has_many_legs():
+            return None
+        try:
+            check_limbs(skeleton, finder.limbs, guessed=False)
+        except MotionError:
+            return None
+        return finder
 
     @classmethod
     def partial(cls, skeleton: Skeleton) -> PartFinder:
@@ -92,27 +128,31 @@ class PartFinder:
         Limbs that cannot be identified have None for joints. Without evidence `pelvis` and `head`
         are None, and `spine` and `neck` are empty.
         """
-        found = cls.__new__(cls)
-        found._read_names(skeleton, skeleton.parts)
+        finder = cls(skeleton)
         # A limb without a counterpart has no pair of names, so its side comes from its own name.
         for j, name in enumerate(skeleton.names):
-            if not found.side[j] and (side := named_side(name)):
-                found.side[j], found.bare[j] = side, bare_name(name, side)
+            if not finder.side[j] and (side := named_side(name)):
+                finder.side[j], finder.bare[j] = side, bare_name(name, side)
         for side in SIDES:
-            found._arm(side)
-            found._leg(side)
+            finder._arm(side)
+            finder._leg(side)
             for limb in (ARM, LEG):
-                parts = {f"{side}_{part}": found.limbs[f"{side}_{part}"] for part in limb}
+                parts = {f"{side}_{part}": finder.limbs[f"{side}_{part}"] for part in limb}
                 try:
                     check_limbs(skeleton, parts, guessed=False)
                 except MotionError:
-                    found.limbs |= {p: found.by_hand.get(p) for p in parts}
-        if found.has_many_legs():
-            legs = [f"{side}_{part}" for side in SIDES for part in LEG]
-            found.limbs |= dict.fromkeys(legs)
-            found.missing += ["left_knee", "right_knee"]
-        found._known_trunk()
-        return found
+                    finder.limbs |= {p: finder.by_hand.get(p) for p in parts}
+        if finder.has_many_legs():
+            finder.limbs |= dict.fromkeys(_LEGS)
+            finder.missing += ["left_knee", "right_knee"]
+        finder._known_trunk()
+        return finder
+
+    def limb(self, side: str, parts: Iterable[str]) -> dict[str, Any]:
+        """Return the names of a limb's joints by part; None where the rig has no such joint."""
+        joints = {part: self.limbs[f"{side}_{part}"] for part in parts}
+        names = self.skeleton.names
+        return {part: None if j is None else names[j] for part, j in joints.items()}
 
     def has_many_legs(self) -> bool:
         """Return whether a leg that names identify is one of six or more chains from one joint."""
@@ -135,28 +175,6 @@ class PartFinder:
             sides = [s for s in SIDES if {f"{s}_{part}" for part in limb} & set(self.missing)]
             words += [f"{kind}s"] if len(sides) == 2 else [f"{side} {kind}" for side in sides]
         return " and ".join(words)
-
-    def _read_names(self, skeleton: Skeleton, by_hand: Mapping[str, str]) -> None:
-        """Read side and bone of each joint from its name, and the parts specified by hand."""
-        for key in by_hand:
-            if key not in KNOWN_PARTS:
-                raise MotionError(
-                    f"no part is called {key!r}; expected {', '.join(sorted(KNOWN_PARTS))}"
-                )
-        self.skeleton = skeleton
-        self.by_hand = {key: skeleton.index(name) for key, name in by_hand.items()}
-        self.side = [""] * skeleton.n_joints
-        for pair in named_pairs(skeleton):
-            for side, name in zip(SIDES, pair):
-                self.side[skeleton.index(name)] = side
-        self.bare = [bare_name(name, side) for name, side in zip(skeleton.names, self.side)]
-        self.missing: list[str] = []
-        self.limbs: dict[str, int | None] = {}
-        self.ends = {
-            j
-            for j in range(skeleton.n_joints)
-            if skeleton.is_leaf(j) and self.bare[j].endswith(_END)
-        }
 
     def helpers(self) -> set[int]:
         """Return joints that only rotate about their bone."""
@@ -189,10 +207,8 @@ class PartFinder:
 
     def _is_legless(self) -> bool:
         """Return whether the rig has both arms, and nothing that could be a leg."""
-        legs = [f"{side}_{part}" for side in SIDES for part in LEG]
-        if not set(self.missing) <= set(legs) or any(self.limbs[p] is not None for p in legs):
-            return False
-        return not self._possible_legs()
+        known = set(self.missing) <= set(_LEGS) and all(self.limbs[p] is None for p in _LEGS)
+        return known and not self._possible_legs()
 
     def _possible_legs(self) -> list[int]:
         """Return the first joints of chains that are long enough for legs, on a rig with arms.
@@ -209,22 +225,19 @@ class PartFinder:
         trunk = {chest, *skeleton.ancestors(chest)}
         # Forearms are about as long as upper arms, but may lack a wrist.
         arm = sum(bone_length(skeleton, *bone) for bone in zip(shoulders, elbows))
-        heads = [j for j, b in enumerate(self.bare) if not self.side[j] and b.endswith(_HEAD)]
-        others = {*elbows, *heads, self.by_hand.get("head")}
-        found = []
+        others = {*elbows, *self._named_heads(), self.by_hand.get("head")}
+        legs = []
         for above in trunk:
             for j in set(skeleton.children(above)) - trunk:
-                if skeleton.is_leaf(j):
-                    continue
                 length = _reach(skeleton, j) - _STUB * arm
-                if above != chest:
-                    is_long = length >= 0
-                else:
-                    is_long = length > _STUB * arm and others.isdisjoint(
-                        (j, *skeleton.descendants(j))
-                    )
-                found += [j] * is_long
-        return sorted(found)
+                is_long = length >= 0 if above != chest else length > _STUB * arm
+                is_other = above == chest and not others.isdisjoint((j, *skeleton.descendants(j)))
+                if is_long and not is_other and not skeleton.is_leaf(j):
+                    legs.append(j)
+        return sorted(legs)
+
+    def _named_heads(self) -> list[int]:
+        return [j for j, b in enumerate(self.bare) if not self.side[j] and b.endswith(_HEAD)]
 
     def _lowest_of_trunk(self, chest: int) -> int:
         """Return the pelvis of a rig without legs: by name, or the root."""
@@ -249,8 +262,7 @@ class PartFinder:
         chest = self._meeting(hanging[0], hanging[-1]) if hanging else None
         way = [] if pelvis is None or chest is None else self._way_down(pelvis, chest)
         self.pelvis, self.spine, self.neck = pelvis, way[1:], []
-        named = [j for j, bare in enumerate(self.bare) if not side[j] and bare.endswith(_HEAD)]
-        nearest = min(named, key=lambda j: self.skeleton.depth[j], default=None)
+        nearest = min(self._named_heads(), key=lambda j: self.skeleton.depth[j], default=None)
         self.head = self.by_hand.get("head", nearest)
         if self.head is not None and chest is not None:
             self.neck = self._way_down(chest, self.head)[1:-1]
@@ -295,33 +307,29 @@ class PartFinder:
         fitting = [
             j for j in among if self.bare[j].endswith(endings) and not self.bare[j].endswith(but)
         ]
-        found = min(fitting, key=lambda j: self.skeleton.depth[j], default=None)
-        return self._settle(part, found, required)
+        nearest = min(fitting, key=lambda j: self.skeleton.depth[j], default=None)
+        return self._settle(part, nearest, required)
 
     def _above(self, part: str, joint: int | None, side: str, required: bool = True) -> int | None:
         """Store and return the nearest joint above on the same side, twist helpers skipped.
 
         If a bone is split into several joints ("upper_arm.L", "upper_arm.L.001"), the first counts.
         """
-        found = None
-        above = () if joint is None else self.skeleton.ancestors(joint)
-        for j in above:
-            if self.side[j] != side or self.bare[j].endswith(_TWIST):
-                if found is not None:
-                    break
-                continue
-            if found is not None and self.bare[j] != self.bare[found]:
+        bone = None
+        for j in () if joint is None else self.skeleton.ancestors(joint):
+            is_bone = self.side[j] == side and not self.bare[j].endswith(_TWIST)
+            if bone is not None and (not is_bone or self.bare[j] != self.bare[bone]):
                 break
-            found = j
-        return self._settle(part, found, required)
+            bone = j if is_bone else None
+        return self._settle(part, bone, required)
 
-    def _settle(self, part: str, found: int | None, required: bool) -> int | None:
-        """Store a part, as specified by hand or else as found, and return its joint."""
-        found = self.by_hand.get(part, found)
-        if found is None and required:
+    def _settle(self, part: str, joint: int | None, required: bool) -> int | None:
+        """Store a part, as specified by hand or else as given, and return its joint."""
+        joint = self.by_hand.get(part, joint)
+        if joint is None and required:
             self.missing.append(part)
-        self.limbs[part] = found
-        return found
+        self.limbs[part] = joint
+        return joint
 
     def _limbs_by_shape(self) -> Limbs:
         """Fill in missing limbs from the shape of the rig.
@@ -355,12 +363,9 @@ class PartFinder:
 
     def _head(self, chest: int, shape: Limbs | None) -> int | None:
         """Return the head: specified by hand, or by name, shape or position above the chest."""
-        in_limbs = {
-            below
-            for part in ("left_clavicle", "right_clavicle", "left_shoulder", "right_shoulder")
-            if (joint := self.limbs[part]) is not None
-            for below in (joint, *self.skeleton.descendants(joint))
-        }
+        starts = [self.limbs[f"{side}_{part}"] for side in SIDES for part in ARM[:2]]
+        arms = [joint for joint in starts if joint is not None]
+        in_limbs = {*arms, *(below for j in arms for below in self.skeleton.descendants(j))}
         by_hand = self.by_hand.get("head")
         if by_hand is not None:
             if by_hand in in_limbs or chest not in self.skeleton.ancestors(by_hand):

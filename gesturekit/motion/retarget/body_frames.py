@@ -25,9 +25,8 @@ import numpy as np
 
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES, BodyParts
-from gesturekit.motion.parts.body_size import body_scale, body_size
-from gesturekit.motion.parts.end_sites import real_end_sites
+from gesturekit.motion.parts import SIDES, BodyParts, find_parts
+from gesturekit.motion.parts.body_size import body_scale, body_size, real_end_sites
 from gesturekit.motion.retarget.standing_pose import FORWARD, LEFT, UP, body_frame, frame
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -91,7 +90,7 @@ class BodyFrames:
         """
         segments, joints = list(self.joints), list(self.joints.values())
         from_anatomical = np.array([self.from_anatomical[segment] for segment in segments])
-        own = multiply_quaternions(rotations[..., joints, :], from_anatomical)
+        frames = multiply_quaternions(rotations[..., joints, :], from_anatomical)
         if positions is not None and self.bones:
             shortest = _NO_LENGTH * body_scale(self.skeleton)
             drawn = [segments.index(segment) for segment in self.bones]
@@ -99,11 +98,13 @@ class BodyFrames:
             starts = [joints[k] for k in drawn]
             bone = positions[..., list(ends), :] - positions[..., starts, :]
             length = np.linalg.norm(bone, axis=-1, keepdims=True)
-            expected = rotate_vectors(own[..., drawn, :], np.broadcast_to(directions, bone.shape))
+            expected = rotate_vectors(
+                frames[..., drawn, :], np.broadcast_to(directions, bone.shape)
+            )
             bone = np.where(length > shortest, bone / np.maximum(length, shortest), expected)
             arc = shortest_arc(expected, bone)
-            own[..., drawn, :] = multiply_quaternions(arc, own[..., drawn, :])
-        return {segment: own[..., k, :] for k, segment in enumerate(segments)}
+            frames[..., drawn, :] = multiply_quaternions(arc, frames[..., drawn, :])
+        return {segment: frames[..., k, :] for k, segment in enumerate(segments)}
 
     @cached_property
     def places(self) -> np.ndarray:
@@ -176,20 +177,20 @@ class BodyFrames:
         return replace(self, from_anatomical=levelled)
 
 
-def body_frames(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> BodyFrames:
+def body_frames(skeleton: Skeleton, pose: np.ndarray) -> BodyFrames:
     """Read the anatomical frames of a rig from its standing pose: local rotations (J, 4)."""
-    return _Builder(skeleton, parts, pose).build()
+    return _Builder(skeleton, pose).build()
 
 
 class _Builder:
     """Construction of `BodyFrames`, segment by segment."""
 
-    def __init__(self, skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> None:
-        self.skeleton, self.parts, self.pose = skeleton, parts, pose
+    def __init__(self, skeleton: Skeleton, pose: np.ndarray) -> None:
+        self.skeleton, self.parts, self.pose = skeleton, find_parts(skeleton), pose
         self.scale, self.ends = body_scale(skeleton), real_end_sites(skeleton)
         self.places = forward_kinematics(pose, np.zeros(3), skeleton)
         self.world = global_rotations(pose, skeleton)
-        self.body = body_frame(skeleton, parts, pose)
+        self.body = body_frame(skeleton, pose)
         self.joints: dict[str, int] = {}
         self.frames: dict[str, np.ndarray] = {}
         self.bones: dict[str, tuple[int, np.ndarray]] = {}
@@ -202,22 +203,13 @@ class _Builder:
             self._arm(side, outward)
             if self.parts.legs:
                 self._leg(side)
-        from_anatomical = {
-            segment: multiply_quaternions(
-                invert_quaternions(self.world[joint]), self.frames[segment]
-            )
+        back = invert_quaternions(self.world)
+        frames = {
+            segment: multiply_quaternions(back[joint], self.frames[segment])
             for segment, joint in self.joints.items()
         }
-        return BodyFrames(
-            self.skeleton,
-            self.parts,
-            self.pose,
-            self.joints,
-            from_anatomical,
-            self.bones,
-            self.toes,
-            self.hands,
-        )
+        rig = self.skeleton, self.parts, self.pose
+        return BodyFrames(*rig, self.joints, frames, self.bones, self.toes, self.hands)
 
     def _add(self, segment: str, joint: str | int, turn: np.ndarray) -> None:
         self.joints[segment] = joint if isinstance(joint, int) else self.skeleton.index(joint)
@@ -246,8 +238,7 @@ class _Builder:
 
     def _direction(self, joint: int, below: int) -> np.ndarray:
         """(3,) world direction of the bone between two joints."""
-        bone = self.places[below] - self.places[joint]
-        return bone / max(np.linalg.norm(bone), 1e-9)
+        return _unit(self.places[below] - self.places[joint])
 
     def _aligned(self, turn: np.ndarray, drawn: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(4,) `turn` rotated the shortest way so that `drawn` (3,) points along `direction`.
@@ -266,11 +257,8 @@ class _Builder:
         if arm.wrist is None:
             elbow = self.skeleton.index(arm.elbow)
             end = self._end(elbow)
-            if np.linalg.norm(end) > _NO_END * self.scale:
-                back = invert_quaternions(self.world[elbow])
-                self.hands[side] = (elbow, rotate_vectors(back, end))
-            direction = end / max(np.linalg.norm(end), 1e-9)
-            self._add(f"{side}_elbow", arm.elbow, self._aligned(self.body, outward, direction))
+            self._mark(self.hands, side, elbow, end)
+            self._add(f"{side}_elbow", elbow, self._aligned(self.body, outward, _unit(end)))
             return
         self._limb(f"{side}_elbow", arm.elbow, arm.wrist, outward)
         self._hand(side, arm.wrist, outward)
@@ -290,8 +278,7 @@ class _Builder:
                 palm = np.cross(thumbward, fingers * outward[0])
                 hand = frame(palm, fingers * outward[0])
         if hand is None:
-            end = self._end(wrist)
-            hand = self._aligned(forearm, outward, end / max(np.linalg.norm(end), 1e-9))
+            hand = self._aligned(forearm, outward, _unit(self._end(wrist)))
         self._add(f"{side}_wrist", wrist, hand)
         for kind, chain in chains.items():
             for k, joint in enumerate(chain):
@@ -308,6 +295,13 @@ class _Builder:
         ends += [self.places[j] - self.places[joint] for j in self.skeleton.children(joint)]
         return max(ends, key=np.linalg.norm, default=np.zeros(3))
 
+    def _mark(
+        self, ends: dict[str, tuple[int, np.ndarray]], side: str, joint: int, end: np.ndarray
+    ) -> None:
+        """Note a limb's end, (3,) in the world from its last joint, unless it is too near."""
+        if np.linalg.norm(end) > _NO_END * self.scale:
+            ends[side] = (joint, rotate_vectors(invert_quaternions(self.world[joint]), end))
+
     def _leg(self, side: str) -> None:
         leg = self.parts.legs[side]
         self._limb(f"{side}_hip", leg.hip, leg.knee, -UP)
@@ -319,9 +313,7 @@ class _Builder:
             bone = self.places[toe] - self.places[ankle]
         else:
             bone = self._end(ankle)
-            if np.linalg.norm(bone) > _NO_END * self.scale:
-                back = invert_quaternions(self.world[ankle])
-                self.toes[side] = (ankle, rotate_vectors(back, bone))
+            self._mark(self.toes, side, ankle, bone)
         level = self._level(bone)
         foot = self._pitched(level, bone)
         self._add(f"{side}_ankle", ankle, foot)
@@ -346,6 +338,10 @@ class _Builder:
         lift = (_USUAL_PITCH - pitch) / 2
         about_x = np.array([-np.sin(lift), 0.0, 0.0, np.cos(lift)])
         return multiply_quaternions(level, about_x)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / max(np.linalg.norm(vector), 1e-9)
 
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")

@@ -38,7 +38,7 @@ _AXIS_ALIGNED = np.cos(np.deg2rad(20.0))
 """Cosine of the largest angle between a torso and the world axis that it stands along."""
 
 
-def standing_pose(motion: Motion, parts: BodyParts | None = None) -> np.ndarray:
+def standing_pose(motion: Motion) -> np.ndarray:
     """(J, 4) local rotations in which the body of a motion stands upright.
 
     The rest pose if it stands, otherwise the most upright frame with lowered arms.
@@ -46,13 +46,11 @@ def standing_pose(motion: Motion, parts: BodyParts | None = None) -> np.ndarray:
     Raises:
         MotionError: it stands neither at rest nor in any frame.
     """
-    skeleton = motion.skeleton
-    parts = parts or find_parts(skeleton)
+    skeleton, parts = motion.skeleton, find_parts(motion.skeleton)
     rest = rest_pose(skeleton)
-    if _stands(skeleton, parts, rest):
+    if _stands(skeleton, rest):
         return rest
-    positions = motion.positions()
-    bones = _bones(skeleton, parts, positions)
+    bones = _bones(skeleton, motion.positions())
     score = bones["torso"][..., 1] - sum(
         bones[f"{side}_{bone}"][..., 1] * weight
         for side in SIDES
@@ -60,7 +58,7 @@ def standing_pose(motion: Motion, parts: BodyParts | None = None) -> np.ndarray:
         if f"{side}_{bone}" in bones
     )
     pose = motion.rotations[int(score.argmax())]
-    if not _stands(skeleton, parts, pose):
+    if not _stands(skeleton, pose):
         knee = f"left knee {parts.legs['left'].knee!r}, " if parts.legs else ""
         raise MotionError(
             "the body stands upright neither at rest nor in any frame; are its parts right? "
@@ -75,15 +73,14 @@ def rest_pose(skeleton: Skeleton) -> np.ndarray:
     return np.tile(IDENTITY, (skeleton.n_joints, 1))
 
 
-def standing_rig(skeleton: Skeleton, parts: BodyParts | None = None) -> np.ndarray:
+def standing_rig(skeleton: Skeleton) -> np.ndarray:
     """(J, 4) local rotations in which a rig stands upright, found without a motion.
 
     The rest pose if it stands. Otherwise each bone is rotated the shortest way to its direction in
     a T-pose. The directions are then right, but the twist of each bone is a guess.
     """
-    parts = parts or find_parts(skeleton)
-    rest = rest_pose(skeleton)
-    if _stands(skeleton, parts, rest):
+    parts, rest = find_parts(skeleton), rest_pose(skeleton)
+    if _stands(skeleton, rest):
         return rest
     wanted = _t_pose(skeleton, parts)
     places = forward_kinematics(rest, np.zeros(3), skeleton)
@@ -96,22 +93,22 @@ def standing_rig(skeleton: Skeleton, parts: BodyParts | None = None) -> np.ndarr
     world = rest.copy()
     pose = rest.copy()
     for j, parent in enumerate(skeleton.parents):
-        own = world[parent] if parent >= 0 else IDENTITY
+        turn = world[parent] if parent >= 0 else IDENTITY
         if j in (pelvis, chest):
             # Two directions are known: along the spine, and across hips or shoulders.
             top = wanted[j][0] if j == chest and j in wanted else chest
             up = places[top] - places[j] if top != j else places[chest] - places[pelvis]
-            own = invert_quaternions(frame(up, _across(parts, j == pelvis, at, scale)))
+            turn = invert_quaternions(frame(up, _across(parts, j == pelvis, at, scale)))
         elif j in wanted:
             below, direction, spare = wanted[j]
-            bone = rotate_vectors(own, places[below] - places[j])
+            bone = rotate_vectors(turn, places[below] - places[j])
             length = np.linalg.norm(bone)
             if length > _NO_LENGTH * scale:
                 arc = shortest_arc(bone / length, direction, spare)
-                own = multiply_quaternions(arc, own)
-        world[j] = own
+                turn = multiply_quaternions(arc, turn)
+        world[j] = turn
         pose[j] = (
-            own if parent < 0 else multiply_quaternions(invert_quaternions(world[parent]), own)
+            turn if parent < 0 else multiply_quaternions(invert_quaternions(world[parent]), turn)
         )
     return pose
 
@@ -129,13 +126,12 @@ def frame(up: np.ndarray, across: np.ndarray) -> np.ndarray:
     return quaternion_from_matrix(np.stack([x, y, np.cross(x, y)], axis=-1))
 
 
-def body_frame(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> np.ndarray:
+def body_frame(skeleton: Skeleton, pose: np.ndarray) -> np.ndarray:
     """(4,) rotation from body axes (left, up, forward) to the world, for a rig standing in `pose`.
 
     Up is the world axis nearest to the torso, or the torso itself if none is near.
     """
-    places = forward_kinematics(pose, np.zeros(3), skeleton)
-    bones = _bones(skeleton, parts, places)
+    bones = _bones(skeleton, forward_kinematics(pose, np.zeros(3), skeleton))
     up = bones["torso"]
     axis = int(np.abs(up).argmax())
     if abs(up[axis]) > _AXIS_ALIGNED:
@@ -143,14 +139,14 @@ def body_frame(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> np.nda
     return frame(up, bones["hips"])
 
 
-def _stands(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> bool:
+def _stands(skeleton: Skeleton, pose: np.ndarray) -> bool:
     """Return whether legs point down along the torso, and shoulders to the same side as hips.
 
     The head of a body without legs points up along the torso.
     """
-    bones = _bones(skeleton, parts, forward_kinematics(pose, np.zeros(3), skeleton))
+    bones = _bones(skeleton, forward_kinematics(pose, np.zeros(3), skeleton))
     up, hips = bones["torso"], bones["hips"]
-    upward = [-bones[f"{side}_{bone}"] for side in parts.legs for bone in ("thigh", "shank")]
+    upward = [-bone for name, bone in bones.items() if name.endswith(("thigh", "shank"))]
     upward += [bones["head"]] if "head" in bones else []
     arms = (bones["left_arm"] - bones["right_arm"]) @ hips
     return bool(
@@ -161,7 +157,7 @@ def _stands(skeleton: Skeleton, parts: BodyParts, pose: np.ndarray) -> bool:
     )
 
 
-def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str, np.ndarray]:
+def _bones(skeleton: Skeleton, places: np.ndarray) -> dict[str, np.ndarray]:
     """Return bone name to unit direction (..., 3), from joint positions (..., J, 3).
 
     The shoulders stand in for the hips of a body without legs.
@@ -170,6 +166,7 @@ def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str
     def at(name: str) -> np.ndarray:
         return places[..., skeleton.index(name), :]
 
+    parts = find_parts(skeleton)
     arms, legs = parts.arms, parts.legs
     shoulders = [at(arms[side].shoulder) for side in SIDES]
     across = shoulders[0] - shoulders[1]
@@ -178,21 +175,21 @@ def _bones(skeleton: Skeleton, parts: BodyParts, places: np.ndarray) -> dict[str
         torso, between_hips = sum(shoulders) / 2 - sum(hips) / 2, hips[0] - hips[1]
     else:
         torso, between_hips = sum(shoulders) / 2 - at(parts.pelvis), across
-    found = {"torso": torso, "hips": between_hips, "shoulders": across}
+    bones = {"torso": torso, "hips": between_hips, "shoulders": across}
     if not legs and parts.head is not None:
-        found["head"] = at(parts.head) - sum(shoulders) / 2
+        bones["head"] = at(parts.head) - sum(shoulders) / 2
     for side in SIDES:
         if legs:
-            found[f"{side}_thigh"] = at(legs[side].knee) - at(legs[side].hip)
-            found[f"{side}_shank"] = at(legs[side].ankle) - at(legs[side].knee)
-        found[f"{side}_arm"] = at(arms[side].elbow) - at(arms[side].shoulder)
+            bones[f"{side}_thigh"] = at(legs[side].knee) - at(legs[side].hip)
+            bones[f"{side}_shank"] = at(legs[side].ankle) - at(legs[side].knee)
+        bones[f"{side}_arm"] = at(arms[side].elbow) - at(arms[side].shoulder)
     shortest = _NO_BONE * body_scale(skeleton)
-    for name, bone in found.items():
+    for name, bone in bones.items():
         length = np.linalg.norm(bone, axis=-1, keepdims=True)
         if length.min() < shortest:
             raise MotionError(f"the rig's {name.replace('_', ' ')} has no length")
-        found[name] = bone / length
-    return found
+        bones[name] = bone / length
+    return bones
 
 
 def _across(

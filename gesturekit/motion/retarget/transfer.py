@@ -5,9 +5,9 @@
    two rest poses are. Spines and necks with different numbers of joints are matched along their
    length.
 2. The path of the hips is scaled by leg length, measured above each rig's own ankles.
-3. Hands near the body are placed where they are on the source, scaled by arm span (`hands`).
+3. Hands near the body are placed where they are on the source, scaled by arm span (`place_hands`).
 4. If the target's feet are then not at the scaled source positions, two-bone IK places them there
-   (`feet`): planted feet stay planted, on the floor.
+   (`FootTargets`): planted feet stay planted, on the floor.
 
 Joints without a counterpart in the source keep their rest rotation. Where one of the rigs has no
 legs, the pelvis moves as the source's, and legs of the target stand straight below it.
@@ -16,20 +16,22 @@ legs, the pelvis moves as the source's, and legs of the target stand straight be
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
-from gesturekit.motion.retarget.feet import HIP_DROP_SECONDS, FootMotion, FootTargets, heading_of
-from gesturekit.motion.retarget.hands import place_hands
 from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
+from gesturekit.motion.retarget.targets import (
+    HIP_DROP_SECONDS,
+    FootMotion,
+    FootTargets,
+    heading_of,
+    place_hands,
+)
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -46,8 +48,6 @@ def retarget(
     motion: Motion,
     skeleton: Skeleton,
     *,
-    parts: Mapping[str, str] | None = None,
-    target_parts: Mapping[str, str] | None = None,
     feet: bool = True,
     pose: np.ndarray | None = None,
 ) -> Motion:
@@ -56,12 +56,10 @@ def retarget(
     Args:
         motion: T frames on the source rig.
         skeleton: the target rig, J joints, in its own size.
-        parts: parts of the source rig specified by hand, see `parts.find_parts`.
-        target_parts: parts of `skeleton` specified by hand.
         feet: keep the source's foot positions by inverse kinematics.
         pose: (J, 4) local rotations in which the target stands upright. By default its rest pose,
             which need not be a T- or A-pose. Some rigs do not stand at rest (Bandai-Namco's); for
-            these a pose also gives the twist of each bone, see `standing_pose.standing_pose`.
+            these a pose also gives the twist of each bone, see `standing_pose`.
             Without one only the joint positions are right.
 
     Returns:
@@ -71,7 +69,7 @@ def retarget(
         MotionError: parts of either rig that cannot be identified, a source that never stands, or a
             target that is no skeleton. Legs are not needed.
     """
-    return Transfer(skeleton, parts=parts, target_parts=target_parts, feet=feet, pose=pose)(motion)
+    return Transfer(skeleton, feet=feet, pose=pose)(motion)
 
 
 class Transfer:
@@ -82,45 +80,46 @@ class Transfer:
     """
 
     def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        parts: Mapping[str, str] | None = None,
-        target_parts: Mapping[str, str] | None = None,
-        feet: bool = True,
-        pose: np.ndarray | None = None,
+        self, skeleton: Skeleton, *, feet: bool = True, pose: np.ndarray | None = None
     ) -> None:
-        _check_target(skeleton)
-        self._skeleton, self._parts, self._target_parts = skeleton, parts, target_parts
-        self._feet, self._pose = feet, pose
+        if not isinstance(skeleton, Skeleton):
+            hint = "; give its skeleton" if isinstance(skeleton, Motion) else ""
+            kind = type(skeleton).__name__
+            raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
+        self._skeleton, self._feet, self._pose = skeleton, feet, pose
         self._source: BodyFrames | None = None
         self._targets: FootTargets
         self._path: tuple[np.ndarray, float] | None = None
 
     def __call__(self, motion: Motion) -> Motion:
         """Return the motion on the target rig; errors as for `retarget`."""
-        skeleton = self._skeleton
-        source, same = self._source, _is_one_rig(skeleton, motion.skeleton)
-        is_first = source is None
-        if source is None:
-            source_parts = find_parts(motion.skeleton, self._parts)
-            source = body_frames(motion.skeleton, source_parts, standing_pose(motion, source_parts))
-        own = _Posed(motion, motion.positions(), motion.global_rotations())
-        own_feet = FootMotion.measure(motion, source, *own[1:]) if source.parts.legs else None
-        if is_first:
-            source = self._fit(motion, source, own_feet, same)
-        target = self._target
+        skeleton, rig = self._skeleton, motion.skeleton
+        same = (skeleton.names, skeleton.parents) == (rig.names, rig.parents)
+        source = self._source or body_frames(rig, standing_pose(motion))
+        places, turns = motion.positions(), motion.global_rotations()
+        feet = FootMotion.measure(motion, source, places, turns) if source.parts.legs else None
+        if self._source is None:
+            source = self._fit(motion, source, feet, same)
+        target, carrier = self._target, self._carrier
         moving = {
             name: values * self._scale
             for name, values in motion.joint_translations.items()
-            if same and skeleton.index(name) != self._carrier
+            if same and skeleton.index(name) != carrier
         }
-        world = _world_rotations(own, source, target, same)
-        if own_feet is None or not target.parts.legs:
-            rotations, root = self._without_feet(own, world, moving, own_feet)
+        frames = _segment_frames(source, target, source.world(turns, places))
+        world = _world_rotations(motion, frames, target, carrier, same)
+        rotations = world.copy()
+        above = invert_quaternions(world[:, list(skeleton.parents[1:])])
+        rotations[:, 1:] = multiply_quaternions(above, world[:, 1:])
+        positions = forward_kinematics(rotations, np.zeros((len(world), 3)), skeleton, moving)
+        rotations = place_hands(source, target, places, turns, positions, rotations)
+        # Neither arms nor legs move the hips, or what is above them.
+        if feet is None or not target.parts.legs:
+            shift = self._pelvis_shift(places[:, source.joints["pelvis"]], positions, feet)
         else:
-            rotations, root = self._with_feet(own, world, moving, own_feet)
-        made = _placed(motion, skeleton, rotations, moving, self._carrier, root)
+            rotations, shift = self._on_feet(rotations, world, positions, feet)
+        carried = positions[:, carrier] + shift
+        made = _placed(motion, skeleton, rotations, moving, carrier, carried)
         return replace(made, expressions=motion.expressions) if same else made
 
     def _fit(
@@ -133,10 +132,8 @@ class Transfer:
             # Joint axes mean the same on one rig, whatever the offsets of a performer.
             target = replace(source, skeleton=self._skeleton)
         else:
-            found = find_parts(self._skeleton, self._target_parts)
-            pose = self._pose
-            stands = standing_rig(self._skeleton, found) if pose is None else np.asarray(pose)
-            target = body_frames(self._skeleton, found, stands)
+            pose = standing_rig(self._skeleton) if self._pose is None else np.asarray(self._pose)
+            target = body_frames(self._skeleton, pose)
         self._source, self._target, self._carrier = source, target, _carrier(target)
         self._scale = target.leg_length() / source.leg_length()
         if feet is not None and target.parts.legs:
@@ -146,123 +143,73 @@ class Transfer:
             self._targets = FootTargets(target, self._scale, feet, heights, drop_frames, base)
         return source
 
-    def _arms(
-        self, own: _Posed, world: np.ndarray, moving: dict[str, np.ndarray]
+    def _on_feet(
+        self, rotations: np.ndarray, world: np.ndarray, positions: np.ndarray, feet: FootMotion
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return local rotations (T, J, 4) with solved arms, and joint positions without them.
+        """Return local rotations (T, J, 4) with solved legs, and the movement (T, 3) of the hips.
 
-        `world` (T, J, 4) and `moving` {joint: (T, 3)} are world rotations and joint translations of
-        the target.
+        `world` and `positions` are those of the target's joints, its root at the origin.
         """
-        skeleton = self._skeleton
-        rotations = _local_rotations(world, skeleton)
-        origin = np.zeros((len(world), 3))
-        positions = forward_kinematics(rotations, origin, skeleton, moving)
-        assert self._source is not None
-        rotations = place_hands(self._source, self._target, *own[1:], positions, rotations)
-        return rotations, positions
-
-    def _with_feet(
-        self,
-        own: _Posed,
-        world: np.ndarray,
-        moving: dict[str, np.ndarray],
-        own_feet: FootMotion,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve arms and legs; return local rotations (T, J, 4) and carrier places (T, 3)."""
-        rotations, positions = self._arms(own, world, moving)
         if self._targets.shift is None:
-            shift = self._targets.mean_shift(world)
-            self._targets = replace(self._targets, shift=shift)
-        targets = replace(self._targets, source=own_feet)
+            self._targets = replace(self._targets, shift=self._targets.mean_shift(world))
+        targets = replace(self._targets, source=feet)
         hips = targets.hips(world)
         if self._feet:
             hips = hips - targets.hip_drop(world, positions, hips)
             rotations = targets.solve_legs(rotations, world, positions, hips)
-        # Neither arms nor legs move the hips, or what is above them.
-        return rotations, positions[:, self._carrier] + (hips - targets.hip_centre(positions))
+        return rotations, hips - targets.hip_centre(positions)
 
-    def _without_feet(
-        self,
-        own: _Posed,
-        world: np.ndarray,
-        moving: dict[str, np.ndarray],
-        own_feet: FootMotion | None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve the arms where one of the rigs has no legs; see `_with_feet`.
+    def _pelvis_shift(
+        self, pelvis: np.ndarray, positions: np.ndarray, feet: FootMotion | None
+    ) -> np.ndarray:
+        """(T, 3) movement of the pelvis where one of the rigs has no legs.
 
-        The path of the pelvis is scaled about the floor under its first frame, which is at 0
-        without feet. The height of a source without legs says nothing about standing, so that a
-        target with legs stands on the floor.
+        The path of the source's `pelvis` (T, 3) is scaled about the floor under its first frame,
+        which is at 0 without feet. The height of a source without legs says nothing about
+        standing, so that a target with legs stands on the floor.
         """
-        skeleton, target = self._skeleton, self._target
-        rotations, positions = self._arms(own, world, moving)
-        assert self._source is not None
-        pelvis = own.positions[:, self._source.joints["pelvis"]]
-        body = positions[:, target.joints["pelvis"]]
+        legs = self._target.parts.legs.values()
+        body = positions[:, self._target.joints["pelvis"]]
         if self._path is None:
-            floor = 0.0 if own_feet is None else own_feet.floor
+            floor = 0.0 if feet is None else feet.floor
             base, lift = np.array([pelvis[0, 0], floor, pelvis[0, 2]]), 0.0
-            if target.parts.legs:
-                names = [
-                    joint for leg in target.parts.legs.values() for joint in (leg.ankle, leg.toe)
-                ]
-                feet = [skeleton.index(name) for name in names if name is not None]
-                stands = np.median(body[:, 1] - positions[:, feet, 1].min(axis=1))
+            if legs:
+                names = [joint for leg in legs for joint in (leg.ankle, leg.toe)]
+                ends = [self._skeleton.index(name) for name in names if name is not None]
+                stands = np.median(body[:, 1] - positions[:, ends, 1].min(axis=1))
                 lift = stands - np.median((pelvis - base)[:, 1] * self._scale + base[1])
             self._path = base, lift
         base, lift = self._path
         path = (pelvis - base) * self._scale + base + [0.0, lift, 0.0]
-        return rotations, positions[:, self._carrier] + (path - body)
-
-
-class _Posed(NamedTuple):
-    """A motion, and world positions (T, J, 3), metres, and rotations (T, J, 4) of its joints."""
-
-    motion: Motion
-    positions: np.ndarray
-    turns: np.ndarray
-
-
-def _is_one_rig(a: Skeleton, b: Skeleton) -> bool:
-    return (a.names, a.parents) == (b.names, b.parents)
-
-
-def _check_target(skeleton: Any) -> None:
-    """Raise MotionError for a target that is no skeleton, such as a motion on it."""
-    if not isinstance(skeleton, Skeleton):
-        kind = type(skeleton).__name__
-        hint = "; give its skeleton" if isinstance(skeleton, Motion) else ""
-        raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
+        return path - body
 
 
 def _world_rotations(
-    posed: _Posed, source: BodyFrames, target: BodyFrames, same: bool
+    motion: Motion, frames: dict[str, np.ndarray], target: BodyFrames, carrier: int, same: bool
 ) -> np.ndarray:
-    """(T, J, 4) world rotations of the target's joints."""
-    skeleton, motion = target.skeleton, posed.motion
-    frames = _segment_frames(source, target, source.world(posed.turns, posed.positions))
+    """(T, J, 4) world rotations of the target's joints, from anatomical frames of its segments."""
+    skeleton = target.skeleton
     # Joints without a segment in the source, fingers included, keep their rest rotation.
     segment_of = {joint: segment for segment, joint in target.joints.items() if segment in frames}
     rests = motion.rotations if same else np.tile(target.pose, (motion.n_frames, 1, 1))
-    pelvis, carrier = target.joints["pelvis"], _carrier(target)
+    pelvis = target.joints["pelvis"]
     world = np.empty((motion.n_frames, skeleton.n_joints, 4))
     anatomical = [target.from_anatomical[each] for each in segment_of.values()]
     back = invert_quaternions(np.stack(anatomical))
-    own = np.stack([frames[segment] for segment in segment_of.values()], axis=1)
-    world[:, list(segment_of)] = multiply_quaternions(own, back)
+    segments = np.stack([frames[segment] for segment in segment_of.values()], axis=1)
+    world[:, list(segment_of)] = multiply_quaternions(segments, back)
     for j, parent in enumerate(skeleton.parents):
         if j in segment_of:
             continue
         if j == carrier and not same:
             # The carrier turns with the pelvis; the joints between them keep the standing pose.
             back = invert_quaternions(target.from_anatomical["pelvis"])
-            own = multiply_quaternions(frames["pelvis"], back)
+            turn = multiply_quaternions(frames["pelvis"], back)
             for between in (pelvis, *skeleton.ancestors(pelvis)):
                 if between == carrier:
                     break
-                own = multiply_quaternions(own, invert_quaternions(target.pose[between]))
-            world[:, j] = own
+                turn = multiply_quaternions(turn, invert_quaternions(target.pose[between]))
+            world[:, j] = turn
         elif parent < 0:
             world[:, j] = rests[:, j]
         else:
@@ -277,32 +224,29 @@ def _segment_frames(
 
     A segment that the source does not have gets the frame of a neighbour.
     """
-    found = {}
-    spine = source.chain("spine")
+    targets = {}
+    spine, neck = source.chain("spine"), source.chain("neck")
+    chest = frames[spine[-1]]
     for segment in target.joints:
         kind = segment.rstrip("0123456789")
-        if kind == "spine":
-            found[segment] = _along(source, spine, target, segment, frames)
+        if kind == "spine" or (kind == "neck" and neck):
+            chain = spine if kind == "spine" else neck
+            targets[segment] = _along(source, chain, target, segment, frames)
         elif kind == "neck":
-            neck = source.chain("neck")
-            found[segment] = (
-                _along(source, neck, target, segment, frames)
-                if neck
-                else slerp(frames[spine[-1]], frames.get("head", frames[spine[-1]]), np.array(0.5))
-            )
+            targets[segment] = slerp(chest, frames.get("head", chest), np.array(0.5))
         elif segment in frames:
-            found[segment] = frames[segment]
+            targets[segment] = frames[segment]
         elif kind == "head":
-            found[segment] = frames[(source.chain("neck") or spine)[-1]]
+            targets[segment] = frames[(neck or spine)[-1]]
         elif kind.endswith("clavicle"):
-            found[segment] = frames[spine[-1]]
+            targets[segment] = chest
         elif kind.endswith("wrist"):
-            found[segment] = frames[kind.replace("wrist", "elbow")]
+            targets[segment] = frames[kind.replace("wrist", "elbow")]
         elif not source.parts.legs and kind.endswith(("hip", "knee", "ankle", "toe")):
-            found[segment] = heading_of(frames["pelvis"])
+            targets[segment] = heading_of(frames["pelvis"])
         elif kind.endswith("toe"):
-            found[segment] = frames[kind.replace("toe", "ankle")]
-    return found
+            targets[segment] = frames[kind.replace("toe", "ankle")]
+    return targets
 
 
 def _along(
@@ -317,8 +261,8 @@ def _along(
     `chain` are the source's segments of the spine or neck from below, `segment` the target's, and
     `frames` {segment: (T, 4)} the source's anatomical frames.
     """
-    own = target.chain(segment.rstrip("0123456789"))
-    place = _heights(target, own)[own.index(segment)]
+    segments = target.chain(segment.rstrip("0123456789"))
+    place = _heights(target, segments)[segments.index(segment)]
     at = float(np.interp(place, _heights(source, chain), np.arange(len(chain))))
     low, high = (frames[chain[k]] for k in (math.floor(at), math.ceil(at)))
     return slerp(low, high, np.array(at % 1))
@@ -332,13 +276,6 @@ def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
     lengths = np.linalg.norm(np.diff(frames.places[[*joints, top]], axis=0), axis=1)
     middles = np.cumsum(lengths) - lengths / 2
     return middles / max(middles[-1], 1e-9)
-
-
-def _local_rotations(world: np.ndarray, skeleton: Skeleton) -> np.ndarray:
-    """(T, J, 4) local rotations from world rotations of the same shape."""
-    local, above = world.copy(), list(skeleton.parents[1:])
-    local[:, 1:] = multiply_quaternions(invert_quaternions(world[:, above]), world[:, 1:])
-    return local
 
 
 def _carrier(target: BodyFrames) -> int:

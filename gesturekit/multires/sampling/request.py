@@ -12,7 +12,7 @@ import numpy as np
 import audio_features as af
 from gesturekit.corpus.speech import speech_features
 from gesturekit.errors import ModelError
-from gesturekit.formats.tables.root_path import as_root_path
+from gesturekit.formats.tables import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.motion.ik.two_bone import two_bone_ik
+from gesturekit.motion.ik import two_bone_ik
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length

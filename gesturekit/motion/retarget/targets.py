@@ -1,4 +1,10 @@
-"""Hip and foot targets of retargeting: planted feet stay planted, on the floor."""
+"""Targets of retargeting: planted feet stay planted, and hands that meet also meet on the target.
+
+If only directions are copied, hands end elsewhere on a body with wider shoulders or shorter arms:
+folded hands come apart, or pass through each other. A hand near the middle of the body is therefore
+placed where the source's is, relative to the midpoint of the shoulders and scaled by arm span. An
+arm that hangs or points away keeps its direction. In between the two targets are blended.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.motion.contacts import CONTACT_SPEED
-from gesturekit.motion.ik.two_bone import two_bone_ik
+from gesturekit.motion.ik import Reach, bend_limbs
 from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
@@ -102,19 +108,17 @@ class FootMotion:
         Returns:
             Side to the heights of the source and of the target.
         """
-        found = {}
+        heights = {}
         for side in SIDES:
-            own = source.foot_heights(side)
-            if self.standing[side].sum() >= _FEWEST_STANDING:
-                still = self.standing[side]
+            ankle, toe = source.foot_heights(side)
+            if (still := self.standing[side]).sum() >= _FEWEST_STANDING:
                 ankle, toe = (
                     float(np.median(points[side][still, 1])) - self.floor
                     for points in (self.ankles, self.toes)
                 )
-                own = ankle, toe
-            scaled = own[0] * scale, own[1] * scale
-            found[side] = own, scaled if same else target.foot_heights(side)
-        return found
+            scaled = ankle * scale, toe * scale
+            heights[side] = (ankle, toe), scaled if same else target.foot_heights(side)
+        return heights
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +179,8 @@ class FootTargets:
     def _heading(self, world: np.ndarray) -> np.ndarray:
         """(T, 4) rotations about the vertical that face where the target's pelvis does."""
         pelvis = self.target.joints["pelvis"]
-        own = multiply_quaternions(world[:, pelvis], self.target.from_anatomical["pelvis"])
-        return heading_of(own)
+        turns = multiply_quaternions(world[:, pelvis], self.target.from_anatomical["pelvis"])
+        return heading_of(turns)
 
     def hip_drop(self, world: np.ndarray, positions: np.ndarray, hips: np.ndarray) -> np.ndarray:
         """(T, 3) smooth downward shift of the hips that brings both feet within reach, metres.
@@ -225,27 +229,16 @@ class FootTargets:
             positions: (T, J, 3) their positions, the root at the origin.
             hips: (T, 3) target midpoint between the hips.
         """
-        skeleton = self.target.skeleton
-        rotations = rotations.copy()
         positions = positions + (hips - self.hip_centre(positions))[:, None]
+        limbs = []
         for side in SIDES:
-            hip, knee, _ = limb = [
-                self.target.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")
-            ]
-            own = multiply_quaternions(world[:, hip], self.target.from_anatomical[f"{side}_hip"])
-            rotations[:, [hip, knee]] = two_bone_ik(
-                positions[:, limb],
-                self.ankle(side, world),
-                rotations[:, [hip, knee]],
-                world[:, [skeleton.parents[hip], skeleton.parents[knee]]],
-                pole=rotate_vectors(own, np.broadcast_to(FORWARD, (len(own), 3))),
-            )
-        now = global_rotations(rotations, skeleton)
-        for side in SIDES:
-            ankle = self.target.joints[f"{side}_ankle"]
-            back = invert_quaternions(now[:, skeleton.parents[ankle]])
-            rotations[:, ankle] = multiply_quaternions(back, world[:, ankle])
-        return rotations
+            joints = [self.target.joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]
+            thigh = self.target.from_anatomical[f"{side}_hip"]
+            thigh = multiply_quaternions(world[:, joints[0]], thigh)
+            pole = rotate_vectors(thigh, np.broadcast_to(FORWARD, (len(thigh), 3)))
+            ankle, turn = self.ankle(side, world), world[:, joints[2]]
+            limbs.append(Reach(joints[:2], joints[2], positions[:, joints], ankle, turn, pole))
+        return bend_limbs(self.target.skeleton, rotations, world, limbs)
 
     def _scaled(self, points: np.ndarray, own_height: float, height: float) -> np.ndarray:
         """(T, 3) `points` (T, 3) scaled about a point on the floor.
@@ -274,3 +267,81 @@ def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
     highest = np.lib.stride_tricks.sliding_window_view(around, 2 * frames + 1).max(axis=1)
     window = np.hanning(2 * frames + 3)[1:-1]
     return np.convolve(highest, window / window.sum(), mode="valid")
+
+
+_INSIDE, _OUTSIDE = 0.4, 1.1
+"""Lateral distances from the middle of the body, as shares of half the shoulder width: up to the
+first a hand is placed by position, from the second on by the direction of its arm."""
+
+
+def place_hands(
+    source: BodyFrames,
+    target: BodyFrames,
+    source_positions: np.ndarray,
+    source_world: np.ndarray,
+    positions: np.ndarray,
+    rotations: np.ndarray,
+) -> np.ndarray:
+    """(T, J, 4) local rotations of the target with hands near the body placed as on the source.
+
+    Args:
+        source: segments of the source rig.
+        target: segments of the target rig.
+        source_positions: (T, J', 3) positions of the source's joints, metres.
+        source_world: (T, J', 4) world rotations of the source's joints.
+        positions: (T, J, 3) positions of the target's joints, before hands are placed.
+        rotations: (T, J, 4) local rotations of the target's joints.
+    """
+    if any(side not in frames.hands for side in SIDES for frames in (source, target)):
+        return rotations
+    chest = source.chain("spine")[-1]
+    torso = multiply_quaternions(
+        source_world[:, source.joints[chest]], source.from_anatomical[chest]
+    )
+    world = global_rotations(rotations, target.skeleton)
+    source_arms = _arms(source, source_positions, source_world)
+    arms = _arms(target, positions, world)
+    scale = _span(arms) / _span(source_arms)
+    limbs = []
+    for side, outward in zip(SIDES, (1.0, -1.0)):
+        middle = _between_shoulders(source_arms)
+        away = source_arms[side][:, 2] - middle
+        lateral = rotate_vectors(invert_quaternions(torso), away)[:, 0]
+        half = np.linalg.norm(source_arms[side][:, 0] - middle, axis=1)
+        share = np.clip((outward * lateral / half - _INSIDE) / (_OUTSIDE - _INSIDE), 0, 1)
+        weight = 1 - share * share * (3 - 2 * share)
+        by_position = _between_shoulders(arms) + scale * away
+        by_direction = arms[side][:, 2]
+        bones = [target.joints[f"{side}_{part}"] for part in ("shoulder", "elbow")]
+        upper_arm = multiply_quaternions(
+            world[:, bones[0]], target.from_anatomical[f"{side}_shoulder"]
+        )
+        pole = rotate_vectors(upper_arm, np.broadcast_to(-FORWARD, by_position.shape))
+        goal = by_direction + weight[:, None] * (by_position - by_direction)
+        wrist = target.joints.get(f"{side}_wrist")
+        turn = None if wrist is None else world[:, wrist]  # the hand keeps its orientation
+        limbs.append(Reach(bones, wrist, arms[side], goal, turn, pole))
+    return bend_limbs(target.skeleton, rotations, world, limbs)
+
+
+def _arms(frames: BodyFrames, positions: np.ndarray, world: np.ndarray) -> dict[str, np.ndarray]:
+    """Return side to (T, 3, 3), positions of shoulder, elbow and hand, metres."""
+    arms = {}
+    for side in SIDES:
+        bones = [frames.joints[f"{side}_{part}"] for part in ("shoulder", "elbow")]
+        joint, offset = frames.hands[side]
+        hand = positions[:, joint] + rotate_vectors(world[:, joint], offset)
+        arms[side] = np.concatenate([positions[:, bones], hand[:, None]], axis=1)
+    return arms
+
+
+def _between_shoulders(arms: dict[str, np.ndarray]) -> np.ndarray:
+    """(T, 3) midpoint of the shoulders, metres."""
+    return (arms["left"][:, 0] + arms["right"][:, 0]) / 2
+
+
+def _span(arms: dict[str, np.ndarray]) -> float:
+    """Return metres from the shoulders' midpoint to an outstretched hand, mean of both arms."""
+    lengths = sum(np.linalg.norm(np.diff(arm, axis=1), axis=2).sum(axis=1) for arm in arms.values())
+    shoulders = np.linalg.norm(arms["left"][:, 0] - arms["right"][:, 0], axis=1)
+    return float(np.median(lengths + shoulders)) / 2

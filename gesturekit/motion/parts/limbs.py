@@ -1,4 +1,4 @@
-"""Arms and legs from the shape of a rig alone, for rigs whose joint names are not informative.
+"""Evidence of limbs: joint names, the shape of a rig, and plausible proportions.
 
 A human rig is a trunk with two pairs of limbs: legs at its lower end, arms farther along it, and
 the head beyond. The limbs of a pair have equal bone lengths. The two longest bones of each limb are
@@ -8,7 +8,8 @@ left. If any of this is not clear, an error is raised, because a wrong guess is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,6 +18,62 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted
+
+SIDES = ("left", "right")
+
+_LEFT_WORD = re.compile("left", re.IGNORECASE)
+# An "l" at the beginning of a word (start, after a sign or digit, or a capital after a lower-case
+# letter): "L_Hip", "b_l_arm", "upper_arm.L", "HandL", "lfemur".
+_LEFT_LETTER = re.compile(r"(?<![A-Za-z])[lL]|(?<=[a-z])L(?![a-z])")
+
+# The same for either side, but only as a separate letter: "lfemur" alone has no side.
+_SIDE_LETTER = re.compile(r"(?<![A-Za-z])[lLrR](?![a-z])|(?<=[a-z])[LR](?![a-z])")
+
+
+def named_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
+    """Return (left, right) names of joints that differ only by the side, in order."""
+    pairs = []
+    names = set(skeleton.names)
+    for name in skeleton.names:
+        for other in _right_names(name):
+            if other in names and other != name:
+                pairs.append((name, other))
+                break
+    return tuple(pairs)
+
+
+def _right_names(name: str) -> Iterable[str]:
+    """Yield possible names of the right counterpart, if `name` is a left joint."""
+    for match in _LEFT_WORD.finditer(name):
+        right = {"left": "right", "LEFT": "RIGHT"}.get(match[0], "Right")
+        yield name[: match.start()] + right + name[match.end() :]
+    for match in _LEFT_LETTER.finditer(name):
+        right = "R" if match[0] == "L" else "r"
+        yield name[: match.start()] + right + name[match.end() :]
+
+
+def named_side(name: str) -> str:
+    """Return the side in a single name, "left" or "right"; "" if it has none."""
+    sides = {side for side in SIDES if side in name.lower()}
+    if not sides:
+        letters = (match[0].lower() for match in _SIDE_LETTER.finditer(name))
+        sides = {SIDES["lr".index(letter)] for letter in letters}
+    return sides.pop() if len(sides) == 1 else ""
+
+
+def bare_name(name: str, side: str) -> str:
+    """Return a name in lower case without namespace, side, digits and signs: "forearm"."""
+    name = name.rsplit(":", 1)[-1]
+    if side and side in name.lower():
+        name = re.sub(side, " ", name, flags=re.IGNORECASE)
+    elif side:
+        letter = side[0]
+        marks = rf"(?<![A-Za-z])(?i:{letter})(?![a-z])|(?<=[a-z]){letter.upper()}(?![a-z])"
+        name, count = re.subn(marks, " ", name)
+        if not count:  # "lfemur", "LHipJoint"
+            name = name[1:]
+    return re.sub("[^a-z]", "", name.lower())
+
 
 _ALIKE = 0.15
 """Largest relative difference of left and right bone lengths."""
@@ -47,6 +104,14 @@ class Limbs:
     pairs: tuple[tuple[int, int], ...]
 
 
+def _rest_places(skeleton: Skeleton) -> np.ndarray:
+    """(J, 3) positions of the joints at rest, the root at the origin."""
+    places = skeleton.offsets.copy()
+    for j, above in enumerate(skeleton.parents):
+        places[j] = places[j] + places[above] if above >= 0 else 0.0
+    return places
+
+
 def find_limbs(skeleton: Skeleton) -> Limbs:
     """Find arms and legs by shape.
 
@@ -62,9 +127,7 @@ class _Shape:
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
         self.bone = np.linalg.norm(skeleton.offsets, axis=1)
-        self.place = skeleton.offsets.copy()
-        for j, above in enumerate(skeleton.parents):
-            self.place[j] = skeleton.offsets[j] + self.place[above] if above >= 0 else 0.0
+        self.place = _rest_places(skeleton)
         # Longest path from each joint down to a leaf, end sites included.
         sites = skeleton.end_sites
         self.tip = np.array(
@@ -118,27 +181,24 @@ class _Shape:
         whole = self.reach[0] + max(
             (self.bone[j] + self.reach[j] for j in self.skeleton.children(0)), default=0.0
         )
-        found = []
+        forks = []
         for fork in range(self.skeleton.n_joints):
-            long = [
-                j
-                for j in self.skeleton.children(fork)
-                if self.bone[j] + self.reach[j] > _LONG * whole
-            ]
+            children = self.skeleton.children(fork)
+            long = [j for j in children if self.bone[j] + self.reach[j] > _LONG * whole]
             few = len(long) <= _MOST_LIMBS
             alike = [pair for pair in combinations(long, 2) if self._alike(*pair)] if few else []
             if not few or len(alike) > 1:
                 raise MotionError(f"more than two limbs of equal length on {self._name(fork)!r}")
-            found += [(fork, pair) for pair in alike]
-        return found
+            forks += [(fork, pair) for pair in alike]
+        return forks
 
     def _alike(self, a: int, b: int) -> bool:
         """Return whether two limbs have equal numbers of bones of equal lengths."""
-        for one, other in self._corresponding(a, b):
-            bones = self.bone[one], self.bone[other]
+        for left, right in self._corresponding(a, b):
+            bones = self.bone[left], self.bone[right]
             if abs(bones[0] - bones[1]) > _ALIKE * max(bones) + _ROUNDING * self.reach[0]:
                 return False
-            if len(self.skeleton.children(one)) != len(self.skeleton.children(other)):
+            if len(self.skeleton.children(left)) != len(self.skeleton.children(right)):
                 return False
         return True
 
@@ -157,10 +217,8 @@ class _Shape:
     def _chain(self, joint: int) -> list[int]:
         """Return the joints of a limb along its longest path."""
         chain = [joint]
-        while self.skeleton.children(chain[-1]):
-            chain.append(
-                max(self.skeleton.children(chain[-1]), key=lambda j: self.bone[j] + self.reach[j])
-            )
+        while below := self.skeleton.children(chain[-1]):
+            chain.append(max(below, key=lambda j: self.bone[j] + self.reach[j]))
         return chain
 
     def _two_bones(self, chains: list[list[int]]) -> int:
@@ -215,3 +273,105 @@ class _Shape:
 
     def _name(self, joint: int) -> str:
         return self.skeleton.names[joint]
+
+
+_CHAINS = (("clavicle", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "toe"))
+_SIDES_DIFFER = 1.6
+"""Largest plausible ratio of the lengths of a left and a right limb."""
+_BONES_DIFFER = 3.5
+"""Largest plausible ratio of thigh and shank, or of upper arm and forearm."""
+
+
+def check_limbs(skeleton: Skeleton, limbs: Mapping[str, int | None], guessed: bool) -> None:
+    """Check that limbs are connected and have the proportions of a person.
+
+    Args:
+        skeleton: the rig.
+        limbs: "left_elbow", ... to joint; None if the rig has none.
+        guessed: limbs come from shape or from the user, so that left and right are checked too.
+
+    Raises:
+        MotionError: implausible parts; the message names the joints.
+    """
+    known = {part: joint for part, joint in limbs.items() if joint is not None}
+    taken: dict[int, str] = {}
+    for part, joint in known.items():
+        if joint in taken:
+            raise MotionError(
+                f"{skeleton.names[joint]!r} cannot be both {taken[joint]} and {part}; "
+                f"name one of them by hand (parts: {part}: JOINT)"
+            )
+        taken[joint] = part
+    for side in SIDES:
+        for chain in _CHAINS:
+            names = [f"{side}_{part}" for part in chain if f"{side}_{part}" in known]
+            for above, below in zip(names, names[1:]):
+                if known[above] not in skeleton.ancestors(known[below]):
+                    reason = "the one does not hang on the other"
+                    raise _wrong(skeleton, known, below, above, reason)
+    for part, joint in known.items():
+        for start in ("left_shoulder", "right_shoulder", "left_hip", "right_hip"):
+            is_other_side = part.split("_")[0] != start.split("_")[0]
+            if is_other_side and known.get(start) in skeleton.ancestors(joint):
+                raise _wrong(skeleton, known, part, start, "the one hangs on the other")
+    _check_lengths(skeleton, known)
+    if guessed:
+        _check_sides(skeleton, known)
+
+
+def _check_lengths(skeleton: Skeleton, known: Mapping[str, int]) -> None:
+    """Raise MotionError for implausible bone lengths."""
+    for chain, name in zip((_CHAINS[0][1:], _CHAINS[1][:3]), ("arm", "leg")):
+        whole = {}
+        for side in SIDES:
+            parts = [f"{side}_{part}" for part in chain if f"{side}_{part}" in known]
+            joints = [known[part] for part in parts]
+            bones = [bone_length(skeleton, *bone) for bone in zip(joints, joints[1:])]
+            whole[side] = sum(bones)
+            if len(bones) == 2 and 0 < min(bones) < max(bones) / _BONES_DIFFER:
+                reason = f"bones of {bones[0]:.2f} and {bones[1]:.2f} m"
+                raise _wrong(skeleton, known, parts[1], parts[0], reason)
+        if min(whole.values()) > 0 and max(whole.values()) > _SIDES_DIFFER * min(whole.values()):
+            raise MotionError(
+                f"the left {name} would be {whole['left']:.2f} m long, the right one "
+                f"{whole['right']:.2f} m; name its joints by hand "
+                f"(parts: left_{chain[1]}: JOINT, ...)"
+            )
+
+
+def _check_sides(skeleton: Skeleton, known: Mapping[str, int]) -> None:
+    """Raise MotionError if the toes of a rig that stands at rest contradict left and right."""
+    if "left_hip" not in known:
+        return
+    places = _rest_places(skeleton)
+    at = {part: places[joint] for part, joint in known.items()}
+    hips = at["left_hip"] - at["right_hip"]
+    trunk = at["left_shoulder"] + at["right_shoulder"] - at["left_hip"] - at["right_hip"]
+    legs = sum(at[f"{side}_ankle"] - at[f"{side}_hip"] for side in SIDES)
+    if -(trunk @ legs) < 0.7 * np.linalg.norm(trunk) * np.linalg.norm(legs):
+        return
+    ahead = np.cross(hips, trunk)
+    toes = [at[f"{s}_toe"] - at[f"{s}_ankle"] for s in SIDES if f"{s}_toe" in at]
+    if not toes or not np.linalg.norm(ahead):
+        return
+    if all(toe @ ahead < -0.3 * np.linalg.norm(toe) * np.linalg.norm(ahead) for toe in toes):
+        raise MotionError(
+            f"left and right seem exchanged: with {skeleton.names[known['left_hip']]!r} as its "
+            "left hip the rig's toes point backwards"
+        )
+
+
+def bone_length(skeleton: Skeleton, above: int, below: int) -> float:
+    """Return metres along the bones from a joint to one of its descendants."""
+    chain = [below, *skeleton.ancestors(below)]
+    return float(np.linalg.norm(skeleton.offsets[chain[: chain.index(above)]], axis=1).sum())
+
+
+def _wrong(
+    skeleton: Skeleton, known: Mapping[str, int], a: str, b: str, reason: str
+) -> MotionError:
+    return MotionError(
+        f"{skeleton.names[known[a]]!r} cannot be the {a.replace('_', ' ')} with "
+        f"{skeleton.names[known[b]]!r} as the {b.replace('_', ' ')}: {reason}; "
+        f"name them by hand (parts: {a}: JOINT, ...)"
+    )

@@ -4,6 +4,8 @@
 pelvis, then `betas`, `gender` and the frame rate, `mocap_frame_rate` or `mocap_framerate`. BEAT2
 adds `expressions` and has Y up; AMASS has Z up. Fingers are relative to the flat hand; tools of
 BEAT2 that add the model's mean hand curl them a little more.
+
+The keys of Seamless Interaction, `smplh:…`, are SMPL-H in the axes of the camera, 30 fps.
 """
 
 from __future__ import annotations
@@ -17,10 +19,9 @@ from typing import Any
 import numpy as np
 
 from audio_features.archive import Archive
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.errors import FormatError
 from gesturekit.formats.axes import UP_TO_Y
-from gesturekit.formats.smpl.skeleton import N_JOINTS, model_pelvis, smpl_skeleton
-from gesturekit.motion.body_shape import GENDERS, MAX_BETAS, BodyShape
+from gesturekit.formats.smpl import N_JOINTS, model_pelvis, smpl_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -29,6 +30,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
+from gesturekit.motion.skeleton import GENDERS, MAX_BETAS, BodyShape
 from gesturekit.wording import listed
 
 RATES = ("mocap_frame_rate", "mocap_framerate", "fps")
@@ -72,17 +74,12 @@ def from_amass(archive: Archive, up: str) -> Motion:
     rotations = quaternion_from_rotation_vector(poses.reshape(len(poses), n_joints, 3))
     rest = model_pelvis(n_joints)
     rotations, pelvis, up = to_y_up(rotations, trans + rest, up)
-    try:
-        skeleton = replace(smpl_skeleton(n_joints), body_shape=read_shape(archive, "betas", rest))
-        motion = Motion(skeleton, rotations, pelvis, _rate(archive), info={"up": up})
-    except MotionError as error:
-        raise FormatError(f"keys 'poses', 'trans', 'mocap_frame_rate': {error}") from None
+    skeleton = replace(smpl_skeleton(n_joints), body_shape=read_shape(archive, "betas", rest))
+    motion = Motion(skeleton, rotations, pelvis, _rate(archive), info={"up": up})
     fingers = poses[:, _FINGERS.get(n_joints, poses.shape[1]) :]
     if not (fingers != fingers[:1]).any():
         motion.info["unread_hands"] = list(filter(_OF_HANDS.match, archive))
-    if "expressions" in archive:
-        return with_expressions(motion, archive)
-    return motion
+    return with_expressions(motion, archive)
 
 
 def to_amass(motion: Motion, up: str) -> dict[str, Any]:
@@ -165,7 +162,9 @@ def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> B
 
 
 def with_expressions(motion: Motion, archive: Archive) -> Motion:
-    """Return the motion with the file's expressions, unless they are all zero."""
+    """Return the motion with the file's expressions, unless it has none or they are all zero."""
+    if "expressions" not in archive:
+        return motion
     values = archive.numbers("expressions")
     if values.ndim != 2 or len(values) != motion.n_frames or values.shape[1] > _MAX_EXPRESSIONS:
         warnings.warn(
@@ -174,25 +173,26 @@ def with_expressions(motion: Motion, archive: Archive) -> Motion:
             stacklevel=2,
         )
         return motion
-    try:
-        return replace(motion, expressions=values) if values.any() else motion
-    except MotionError as error:
-        raise FormatError(f"key 'expressions': {error}") from None
+    return replace(motion, expressions=values) if values.any() else motion
+
+
+def read_number(archive: Archive, key: str) -> float:
+    """Return the only number under a key."""
+    value = archive.numbers(key)
+    if value.size != 1:
+        raise FormatError(f"key {key!r} has shape {value.shape}; expected one number")
+    return float(value.item())
 
 
 def _rate(archive: Archive) -> float:
     """Return the frame rate; all of its keys must agree."""
-    rates = {key: archive.numbers(key) for key in RATES if key in archive}
-    for key, value in rates.items():
-        if value.size != 1:
-            raise FormatError(f"key {key!r} has shape {value.shape}; expected one number")
-    values = {float(value.item()) for value in rates.values()}
-    if not values:
+    rates = {key: read_number(archive, key) for key in RATES if key in archive}
+    if not rates:
         raise FormatError("no key 'mocap_frame_rate' or 'mocap_framerate' in the archive")
-    if len(values) > 1:
-        said = ", ".join(f"key {key!r} {value.item():g}" for key, value in rates.items())
+    if len(set(rates.values())) > 1:
+        said = ", ".join(f"key {key!r} {value:g}" for key, value in rates.items())
         raise FormatError(f"the frame rates differ, {said}; keep only the right one in the file")
-    return values.pop()
+    return next(iter(rates.values()))
 
 
 def _text(archive: Archive, key: str) -> str:
@@ -205,3 +205,33 @@ def _text(archive: Archive, key: str) -> str:
         warnings.warn(f"{error}; it is ignored", stacklevel=2)
         return ""
     return texts[0] if texts and len(texts[0]) < 100 else ""
+
+
+FPS = 30.0
+_JOINTS = {"global_orient": 1, "body_pose": 21, "left_hand_pose": 15, "right_hand_pose": 15}
+
+
+def from_seamless(archive: Archive) -> Motion:
+    """Return the motion in the keys `smplh:…`; a body upside down, as in camera axes, is turned.
+
+    Raises:
+        FormatError: a key is missing or of a wrong shape.
+    """
+    parts = []
+    for name, n_joints in _JOINTS.items():
+        values = archive.numbers(f"smplh:{name}")
+        n_frames = len(values)
+        if values.size != n_frames * n_joints * 3:
+            raise FormatError(
+                f"key 'smplh:{name}' has shape {values.shape}; expected (frames, {n_joints}, 3)"
+            )
+        parts.append(values.reshape(n_frames, n_joints, 3))
+    trans = archive.numbers("smplh:translation")
+    if len({len(part) for part in parts}) > 1 or trans.shape != (len(parts[0]), 3):
+        raise FormatError("keys 'smplh:…' differ in their numbers of frames")
+    rotations = quaternion_from_rotation_vector(np.concatenate(parts, axis=1))
+    n_joints = rotations.shape[1]
+    rest = model_pelvis(n_joints)
+    rotations, pelvis, up = to_y_up(rotations, trans + rest, "auto")
+    skeleton = replace(smpl_skeleton(n_joints), body_shape=BodyShape(pelvis=tuple(rest)))
+    return Motion(skeleton, rotations, pelvis, FPS, info={"up": up})

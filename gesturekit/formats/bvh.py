@@ -4,14 +4,15 @@ Conventions where programs differ: a joint's position channels replace its OFFSE
 three.js adds them); translation is applied before rotation, whatever the order of channels; Euler
 angles are intrinsic, in degrees, in the order of the channels.
 
-Files that we write contain their unit and axes (`mark`) and their exact frame rate. Arguments of
-the caller take precedence, then the mark, then detection.
+Files that we write contain their unit and axes (`UNIT_MARKS`) and their exact frame rate. Arguments
+of the caller take precedence, then the mark, then detection.
 """
 
 from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,8 +21,7 @@ import numpy as np
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import file_axes, with_y_up
-from gesturekit.formats.bvh import mark as bvh_mark
-from gesturekit.formats.bvh.grammar import ParsedBvh, ParsedJoint, parse_bvh
+from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedBvh, ParsedJoint, parse_bvh
 from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import first_fork
@@ -48,7 +48,7 @@ def read_bvh(
 
     Args:
         path: the file.
-        unit: unit of its lengths, one of `units.METRES`; "auto" uses that of our mark, or else the
+        unit: unit of its lengths, one of `METRES`; "auto" uses that of our mark, or else the
             one that gives the body the size of a person.
         up: axis that points up, "x" to "z" or "-x" to "-z"; "auto" uses "y" in files that we
             wrote, otherwise the rest pose and the frames in which the body stands.
@@ -71,8 +71,8 @@ def read_bvh(
     parsed = parse_bvh(path, fps)
     if parsed.unit is not None:
         unit = parsed.unit if unit == "auto" else unit
-        if up in ("auto", bvh_mark.UP) and forward in ("auto", bvh_mark.FORWARD):
-            up, forward = bvh_mark.UP, bvh_mark.FORWARD
+        if up in ("auto", "y") and forward in ("auto", "z"):
+            up, forward = "y", "z"
     try:
         motion = _to_motion(parsed, unit)
         axes = file_axes(motion, up, forward)
@@ -94,12 +94,13 @@ def write_bvh(
 
     The root and joints with joint translations have position channels. Their OFFSET is 0 0 0, so
     that programs that add positions to it and those that replace it agree. The root's OFFSET is
-    also our mark, see `mark`. Angles are unwrapped, so that curves do not jump by 360 degrees.
+    also our mark, see `UNIT_MARKS`. Angles are unwrapped, so that curves do not jump by 360
+    degrees.
 
     Args:
         motion: the motion to write.
         path: the file, written atomically.
-        unit: unit of its lengths, one of `units.METRES`.
+        unit: unit of its lengths, one of `METRES`.
         decimals: decimals of offsets and channels (longer units get up to two more, millimetres
             one less).
 
@@ -140,8 +141,11 @@ def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
     """Return the motion in metres, with the file's axes."""
     joints, n_frames = parsed.joints, len(parsed.frames)
     offsets = np.array([joint.offset for joint in joints])
-    rotations = _rotations(parsed)
-    places = _places(parsed)
+    columns: dict[tuple[int, str], int] = {}
+    for j, joint in enumerate(joints):
+        for name in joint.channels:
+            columns[j, name] = len(columns)
+    rotations, places = _rotations(parsed, columns), _places(parsed, columns)
     skeleton = Skeleton(
         names=tuple(joint.name for joint in joints),
         parents=tuple(joint.parent for joint in joints),
@@ -149,13 +153,12 @@ def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
         end_sites={j.name: tuple(np.array(end) for end in j.ends) for j in joints if j.ends},
         rotation_orders=tuple(_order(joint) for joint in joints),
     )
-    guessed = ()
+    is_sure = True
     if unit == "auto":
         first = offsets.copy()
         for j, values in places.items():
             first[j] = values[0]
-        unit, sure = guess_unit(replace(skeleton, offsets=first), rotations[0])
-        guessed = () if sure else ("unit",)
+        unit, is_sure = guess_unit(replace(skeleton, offsets=first), rotations[0])
     metres = METRES[unit]
     translation = places.pop(0, None)
     if translation is None:
@@ -177,6 +180,7 @@ def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
         fps=parsed.fps,
         joint_translations=moving,
     )
+    guessed = () if is_sure else ("unit",)
     motion.info.update(unit=unit, guessed=guessed, frame_time=parsed.frame_time)
     if parsed.renamed:
         motion.info["renamed"] = parsed.renamed
@@ -189,38 +193,33 @@ def _order(joint: ParsedJoint) -> str:
     return next(order for order in ROTATION_ORDERS if order.startswith(turning))
 
 
-def _rotations(parsed: ParsedBvh) -> np.ndarray:
-    """(T, J, 4) local quaternions."""
+def _rotations(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> np.ndarray:
+    """(T, J, 4) local quaternions; `columns` are those of frames by joint and channel."""
     frames, joints = parsed.frames, parsed.joints
     rotations = np.empty((len(frames), len(joints), 4))
     in_order: dict[str, list[int]] = {}
-    columns = np.full((len(joints), 3), -1)
-    before = 0
     for j, joint in enumerate(joints):
         in_order.setdefault(_order(joint), []).append(j)
-        for i, axis in enumerate(_order(joint)):
-            if axis + "r" in joint.channels:
-                columns[j, i] = before + joint.channels.index(axis + "r")
-        before += len(joint.channels)
+    angles_at = {
+        order: np.array([[columns.get((j, f"{axis}r"), -1) for axis in order] for j in js])
+        for order, js in in_order.items()
+    }
     for start in range(0, len(frames), _FRAMES_AT_ONCE):  # blocks that fit in the CPU cache
-        part = slice(start, start + _FRAMES_AT_ONCE)
-        for order, js in in_order.items():
-            angles = np.where(columns[js] >= 0, frames[part][:, columns[js]], 0.0)
-            rotations[part, js] = quaternion_from_euler(angles, order)
+        block = slice(start, start + _FRAMES_AT_ONCE)
+        for order, at in angles_at.items():
+            angles = np.where(at >= 0, frames[block][:, at], 0.0)
+            rotations[block, in_order[order]] = quaternion_from_euler(angles, order)
     return rotations
 
 
-def _places(parsed: ParsedBvh) -> dict[int, np.ndarray]:
+def _places(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> dict[int, np.ndarray]:
     """Return joint to (T, 3) positions in its parent's frame, for joints with position channels."""
     places: dict[int, np.ndarray] = {}
-    before = 0
-    for j, joint in enumerate(parsed.joints):
-        for column, name in enumerate(joint.channels, start=before):
-            if name[1] == "p":
-                if j not in places:
-                    places[j] = np.tile(np.array(joint.offset), (len(parsed.frames), 1))
-                places[j][:, "XYZ".index(name[0])] = parsed.frames[:, column]
-        before += len(joint.channels)
+    for (j, name), column in columns.items():
+        if name[1] == "p":
+            if j not in places:
+                places[j] = np.tile(np.array(parsed.joints[j].offset), (len(parsed.frames), 1))
+            places[j][:, "XYZ".index(name[0])] = parsed.frames[:, column]
     return places
 
 
@@ -257,43 +256,28 @@ def _hierarchy(motion: Motion, unit: str, places: int) -> str:
         turns = " ".join(f"{axis}rotation" for axis in skeleton.rotation_orders[joint])
         channels = f"CHANNELS 3 {turns}"
         place = offset(skeleton.offsets[joint])
-        if _has_positions(motion, joint):
+        if joint == 0 or name in motion.joint_translations:
             channels = f"CHANNELS 6 Xposition Yposition Zposition {turns}"
-            place = offset(np.zeros(3)) if joint else f"OFFSET {bvh_mark.unit_mark(unit)}"
-        lines += [
-            f"{tabs}{'JOINT' if joint else 'ROOT'} {name}",
-            f"{tabs}{{",
-            f"{tabs}\t{place}",
-            f"{tabs}\t{channels}",
-        ]
+            place = offset(np.zeros(3)) if joint else f"OFFSET {UNIT_MARKS[unit]}"
+        block = (f"{'JOINT' if joint else 'ROOT'} {name}", "{", f"\t{place}", f"\t{channels}")
+        lines += [tabs + line for line in block]
         for site in skeleton.end_sites.get(name, ()):
-            lines += [
-                f"{tabs}\tEnd Site",
-                f"{tabs}\t{{",
-                f"{tabs}\t\t{offset(site)}",
-                f"{tabs}\t}}",
-            ]
+            block = ("End Site", "{", f"\t{offset(site)}", "}")
+            lines += [f"{tabs}\t{line}" for line in block]
     close(before, 0)
     return "\n".join(lines) + "\n"
 
 
-def _has_positions(motion: Motion, joint: int) -> bool:
-    return joint == 0 or motion.skeleton.names[joint] in motion.joint_translations
-
-
 def _channels(motion: Motion, metres: float) -> tuple[np.ndarray, np.ndarray]:
     """Return values (T, C) in the file's units, and (C,) bool, true for columns of lengths."""
-    columns, lengths = [], []
-    for joint in _nested(motion.skeleton):
-        if _has_positions(motion, joint):
-            name = motion.skeleton.names[joint]
-            columns.append(
-                (motion.joint_translations[name] if joint else motion.translation) / metres
-            )
+    columns, lengths, skeleton = [], [], motion.skeleton
+    places = {skeleton.names[0]: motion.translation, **motion.joint_translations}
+    for joint in _nested(skeleton):
+        if (name := skeleton.names[joint]) in places:
+            columns.append(places[name] / metres)
             lengths += [True] * 3
-        angles = euler_from_quaternion(
-            motion.rotations[:, joint], motion.skeleton.rotation_orders[joint]
-        )
+        order = skeleton.rotation_orders[joint]
+        angles = euler_from_quaternion(motion.rotations[:, joint], order)
         columns.append(np.unwrap(angles, axis=0, period=360.0))
         lengths += [False] * 3
     return np.concatenate(columns, axis=1), np.array(lengths)

@@ -8,7 +8,7 @@ with the joints it is weighted to (linear blend skinning).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import matrix_from_quaternion
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, has_shape
 
 FOOT_VERTICES = {
     6890: (3216, 3226, 3387, 6617, 6624, 6787),
@@ -30,7 +30,6 @@ FOOT_VERTICES = {
 """Left big toe, left small toe, left heel and the same of the right foot, by the number of vertices
 of the mesh: SMPL and SMPL-H share one, SMPL-X has another (as in the package smplx, vertex_ids)."""
 
-Fail = Callable[[str], FormatError]
 _FAMILIES = {22: "smpl", 24: "smpl", 52: "smplh"}
 """Names of models and of their folders by number of joints; that of all others is smplx."""
 _MAX_VERTICES, _MAX_JOINTS = 200_000, 256
@@ -172,29 +171,25 @@ class BodyModel:
         shape = replace(shape, pelvis=tuple(joints[0]))
         return replace(skeleton, offsets=offsets, end_sites=ends, body_shape=shape)
 
-    def vertices(self, motion: Motion, indices: Sequence[int] | None = None) -> np.ndarray:
-        """(T, N, 3) world positions of vertices under a motion, metres, for its `body_shape`.
+    def vertices(self, motion: Motion) -> np.ndarray:
+        """(T, V, 3) world positions of vertices under a motion, metres, for its `body_shape`.
 
-        Only the requested ones are computed. Face expressions are not applied, and fingers turn
-        from the model's flat hand.
+        Face expressions are not applied, and fingers turn from the model's flat hand.
 
         Args:
             motion: on a rig with the model's joints; its own offsets do not matter.
-            indices: which vertices; all by default.
 
         Raises:
             MotionError: a rig with other joints.
         """
         rig, betas = self.rig(motion.skeleton), motion.skeleton.body_shape.betas
-        at = np.arange(self.n_vertices) if indices is None else np.asarray(indices)
-        rest = self.vertices_at_rest(betas, at)
-        joints = self.joints_at_rest(betas)
-        weights = self.weights[at].astype(np.float64)
+        rest, joints = self.vertices_at_rest(betas), self.joints_at_rest(betas)
+        weights = self.weights.astype(np.float64)
         corrections = None
         if self.pose_corrections is not None:
-            corrections = self.pose_corrections[at].reshape(len(at) * 3, -1).T
-        moved = np.empty((motion.n_frames, len(at), 3))
-        chunk = max(1, _CHUNK // (9 * max(len(at), self.n_joints)))
+            corrections = self.pose_corrections.reshape(3 * self.n_vertices, -1).T
+        moved = np.empty((motion.n_frames, self.n_vertices, 3))
+        chunk = max(1, _CHUNK // (9 * max(self.n_vertices, self.n_joints)))
         for start in range(0, motion.n_frames, chunk):
             part = slice(start, start + chunk)
             local = motion.rotations[part]
@@ -238,93 +233,86 @@ def _remembered(path: str, stamp: int) -> BodyModel:
 
 
 def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
-    def fail(what: str) -> FormatError:
-        return FormatError(f"{archive.path}: {what}; expected a model of the SMPL family")
-
-    template = archive.numbers("v_template", np.float32)
-    weights = archive.numbers("weights", np.float32)
-    if template.ndim != 2 or template.shape[1] != 3 or not 0 < len(template) <= _MAX_VERTICES:
-        raise fail(f"v_template has shape {template.shape}")
+    template = _numbers(archive, "v_template", None, 3)
     n_vertices = len(template)
-    if weights.ndim != 2 or len(weights) != n_vertices or not 0 < weights.shape[1] <= _MAX_JOINTS:
-        raise fail(f"weights have shape {weights.shape} for {n_vertices} vertices")
+    if not 0 < n_vertices <= _MAX_VERTICES:
+        raise _refused(archive, f"v_template has shape {template.shape}")
+    weights = _numbers(archive, "weights", n_vertices, None)
     n_joints = weights.shape[1]
+    if not 0 < n_joints <= _MAX_JOINTS:
+        raise _refused(archive, f"weights has shape {weights.shape}")
     shapes = np.zeros((n_vertices, 3, 0), np.float32)
     if "shapedirs" in archive:
-        shapes = archive.numbers("shapedirs", np.float32)
-        if shapes.ndim != 3 or shapes.shape[:2] != (n_vertices, 3):
-            raise fail(f"shapedirs have shape {shapes.shape} for {n_vertices} vertices")
+        shapes = _numbers(archive, "shapedirs", n_vertices, 3, None)
         if n_joints == 55:  # SMPL-X: 300 shapes and 100 expressions of the face, or 10 and 10
             shapes = shapes[..., : 300 if shapes.shape[-1] >= 400 else 10]
     corrections = None
     if "posedirs" in archive:
-        corrections = archive.numbers("posedirs", np.float32)
-        if corrections.shape != (n_vertices, 3, 9 * (n_joints - 1)):
-            raise fail(f"posedirs have shape {corrections.shape} for {n_joints} joints")
+        corrections = _numbers(archive, "posedirs", n_vertices, 3, 9 * (n_joints - 1))
     faces = archive["f"]
     if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
-        raise fail(f"f has shape {faces.shape} of {faces.dtype}")
+        raise _refused(archive, f"f has shape {faces.shape} of {faces.dtype}")
     if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < n_vertices:
-        raise fail(f"f names vertices that are not among {n_vertices}")
-    if feet is not None and not all(0 <= vertex < n_vertices for vertex in feet):
-        raise fail(f"foot vertices {list(feet)} are not among {n_vertices}")
-    if feet is not None and len(feet) != 6:
-        raise fail(f"{len(feet)} foot vertices, not six")
-    regressor = _regressor(archive, n_joints, n_vertices, fail)
-    arrays = {"v_template": template, "weights": weights, "shapedirs": shapes}
-    arrays |= {"J_regressor": regressor}
-    arrays |= {} if corrections is None else {"posedirs": corrections}
-    for key, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise fail(f"{key} holds numbers that are not finite")
+        raise _refused(archive, f"f names vertices that are not among {n_vertices}")
+    feet = FOOT_VERTICES.get(n_vertices) if feet is None else tuple(feet)
+    if feet and (len(feet) != 6 or not all(0 <= vertex < n_vertices for vertex in feet)):
+        raise _refused(archive, f"foot vertices {list(feet)} are not six of {n_vertices}")
     if (weights < 0).any() or (np.abs(weights.sum(axis=1) - 1) > _OFF_ONE).any():
-        raise fail("weights of a vertex are negative, or do not sum to 1")
+        raise _refused(archive, "weights of a vertex are negative, or do not sum to 1")
     return BodyModel(
         template=template,
         faces=faces.astype(np.int64),
         shapes=shapes,
         pose_corrections=corrections,
-        regressor=regressor,
+        regressor=_regressor(archive, n_joints, n_vertices),
         weights=weights,
-        parents=_parents(archive, n_joints, fail),
-        feet=FOOT_VERTICES.get(n_vertices) if feet is None else tuple(feet),
+        parents=_parents(archive, n_joints),
+        feet=feet,
         source=str(archive.path),
     )
 
 
-def _parents(archive: Archive, n_joints: int, fail: Fail) -> tuple[int, ...]:
+def _refused(archive: Archive, why: str) -> FormatError:
+    return FormatError(f"{archive.path}: {why}; expected a model of the SMPL family")
+
+
+def _numbers(archive: Archive, key: str, *shape: int | None) -> np.ndarray:
+    """Return finite float32 of a shape, in which None is any number."""
+    array = archive.numbers(key, np.float32)
+    if not has_shape(array, shape):
+        raise _refused(archive, f"{key} has shape {array.shape}, not {shape}")
+    if not np.isfinite(array).all():
+        raise _refused(archive, f"{key} holds numbers that are not finite")
+    return array
+
+
+def _parents(archive: Archive, n_joints: int) -> tuple[int, ...]:
     table = archive.numbers("kintree_table")
-    if table.ndim == 2 and len(table):
-        table = table[0]
-    if not np.isfinite(table).all():
-        raise fail("kintree_table holds numbers that are not finite")
-    if table.shape != (n_joints,):
-        raise fail(f"kintree_table has shape {table.shape} for {n_joints} joints")
+    table = table[0] if table.ndim == 2 and len(table) else table
+    if table.shape != (n_joints,) or not np.isfinite(table).all():
+        why = f"kintree_table of shape {table.shape} is not {n_joints} finite numbers"
+        raise _refused(archive, why)
     # The root's parent is -1, or what 2^32 wraps it to.
     parents = (-1, *(int(parent) for parent in table[1:]))
     if not all(0 <= parent < j for j, parent in enumerate(parents) if j):
-        raise fail("kintree_table is not a tree with parents before children")
+        raise _refused(archive, "kintree_table is not a tree with parents before children")
     return parents
 
 
-def _regressor(archive: Archive, n_joints: int, n_vertices: int, fail: Fail) -> np.ndarray:
+def _regressor(archive: Archive, n_joints: int, n_vertices: int) -> np.ndarray:
     """(J, V) float32, from a plain array or the parts of a compressed sparse matrix."""
     shape = (n_joints, n_vertices)
     if "J_regressor" in archive or "J_regressor_data" not in archive:
-        dense = archive.numbers("J_regressor", np.float32)
-    else:
-        from scipy.sparse import csc_array, csr_array
+        return _numbers(archive, "J_regressor", *shape)
+    from scipy.sparse import csc_array, csr_array
 
-        data = archive.numbers("J_regressor_data", np.float32)
-        indices = archive["J_regressor_indices"]
-        starts = archive["J_regressor_indptr"]
-        kind = csr_array if starts.shape == (n_joints + 1,) else csc_array
-        try:
-            sparse = kind((data, indices, starts), shape=shape)
-            sparse.check_format(full_check=True)
-        except (TypeError, ValueError) as error:
-            raise fail(f"J_regressor is not a sparse matrix of shape {shape} ({error})") from None
-        dense = sparse.toarray()
-    if dense.shape != shape:
-        raise fail(f"J_regressor has shape {dense.shape}, not {shape}")
-    return dense
+    data = _numbers(archive, "J_regressor_data", None)
+    indices, starts = archive["J_regressor_indices"], archive["J_regressor_indptr"]
+    kind = csr_array if starts.shape == (n_joints + 1,) else csc_array
+    try:
+        sparse = kind((data, indices, starts), shape=shape)
+        sparse.check_format(full_check=True)
+    except (TypeError, ValueError) as error:
+        why = f"J_regressor is not a sparse matrix of shape {shape} ({error})"
+        raise _refused(archive, why) from None
+    return sparse.toarray()

@@ -5,55 +5,53 @@ redistributed. Without them, joints are placed as on an adult of average build, 
 taken from any model; rotations are exact. With a body model, `fit_body` uses its joints.
 
 The performer's body is the skeleton's `body_shape`; its betas are of the rig's shape space.
+
+A rig of the family, or that of a file, is a target of retargeting (`Rig`).
 """
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from gesturekit.errors import FormatError
+from audio_features.atomic import atomic_write
+from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.axes import UP_TO_Y
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.motion.body_shape import BodyShape
+from gesturekit.formats.gltf.scene import NoAnimationWarning
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.retarget import retarget
+from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.rotations import IDENTITY, rotate_vectors
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import BodyShape, Skeleton
 
-_BODY = (  # name, parent, offset of the left or middle joint (m): x to the left, Y up, +Z forward
-    ("pelvis", None, (0.0, 0.93, 0.0)),
+_BODY = (  # name, parent, offset (m): x to the left, Y up, +Z forward; right joints are mirrored
+    ("pelvis", "", (0.0, 0.93, 0.0)),
     ("left_hip", "pelvis", (0.06, -0.09, -0.005)),
-    ("right_hip", "pelvis", None),
     ("spine1", "pelvis", (0.0, 0.11, -0.025)),
     ("left_knee", "left_hip", (0.045, -0.38, 0.0)),
-    ("right_knee", "right_hip", None),
     ("spine2", "spine1", (0.0, 0.135, 0.015)),
     ("left_ankle", "left_knee", (-0.015, -0.4, -0.035)),
-    ("right_ankle", "right_knee", None),
     ("spine3", "spine2", (0.0, 0.055, 0.02)),
     ("left_foot", "left_ankle", (0.04, -0.06, 0.12)),
-    ("right_foot", "right_ankle", None),
     ("neck", "spine3", (0.0, 0.215, -0.045)),
     ("left_collar", "spine3", (0.075, 0.115, -0.025)),
-    ("right_collar", "spine3", None),
     ("head", "neck", (0.0, 0.09, 0.05)),
     ("left_shoulder", "left_collar", (0.1, 0.045, -0.015)),
-    ("right_shoulder", "right_collar", None),
     ("left_elbow", "left_shoulder", (0.26, -0.015, -0.025)),
-    ("right_elbow", "right_shoulder", None),
     ("left_wrist", "left_elbow", (0.25, 0.01, 0.0)),
-    ("right_wrist", "right_elbow", None),
 )
-_HANDS = (("left_hand", "left_wrist", (0.085, -0.01, -0.015)), ("right_hand", "right_wrist", None))
+_HANDS = (("left_hand", "left_wrist", (0.085, -0.01, -0.015)),)
 _FACE = (
     ("jaw", "head", (0.0, 0.005, 0.02)),
     ("left_eye_smplhf", "head", (0.032, 0.07, 0.075)),
-    ("right_eye_smplhf", "head", None),
 )
 _FINGERS = {  # place of the first joint and lengths of the next two steps (m)
     "index": ((0.1, 0.0, 0.025), (0.032, 0.022)),
@@ -68,9 +66,6 @@ N_JOINTS = (22, 24, 52, 55)
 RIGS = {"smpl": 24, "smplh": 52, "smplx": 55}
 """Joints of the rigs in which a file can be requested."""
 
-_MODEL_PELVIS = {22: (0.0, -0.22, 0.03), 24: (0.0, -0.22, 0.03), 52: (0.0, -0.22, 0.03)}
-_SMPLX_PELVIS = (0.0, -0.35, 0.01)
-
 
 def model_pelvis(n_joints: int) -> np.ndarray:
     """(3,) rest position of the pelvis in the model with that many joints, to a centimetre, metres.
@@ -78,39 +73,34 @@ def model_pelvis(n_joints: int) -> np.ndarray:
     The origin of the models is in the chest. A file's `trans` is added to this position, whatever
     the root's rotation and the up axis.
     """
-    return np.array(_MODEL_PELVIS.get(n_joints, _SMPLX_PELVIS))
+    return np.array((0.0, -0.35, 0.01) if n_joints == 55 else (0.0, -0.22, 0.03))
 
 
 @cache
 def smpl_skeleton(n_joints: int) -> Skeleton:
     """The rig of 22, 24, 52 or 55 joints, in the order of its pose vectors."""
-    joints = list(_BODY)
-    if n_joints == 24:
-        joints += _HANDS
-    if n_joints == 55:
-        joints += _FACE
+    table = [*_BODY, *(_HANDS if n_joints == 24 else ()), *(_FACE if n_joints == 55 else ())]
+    joints = [joint for left in table for joint in _both(*left)]
     if n_joints >= 52:
-        for side in ("left", "right"):
+        for side in (0, 1):
             for finger, (first, steps) in _FINGERS.items():
-                offsets = (first, *((step, 0.0, 0.0) for step in steps))
-                for n, offset in enumerate(offsets, start=1):
-                    parent = f"{side}_{finger}{n - 1}" if n > 1 else f"{side}_wrist"
-                    joints.append(
-                        (f"{side}_{finger}{n}", parent, offset if side == "left" else None)
-                    )
-    at = {name: offset for name, _, offset in joints}
+                parent = "left_wrist"
+                for n, offset in enumerate((first, *((step, 0.0, 0.0) for step in steps)), start=1):
+                    joints.append(_both(f"left_{finger}{n}", parent, offset)[side])
+                    parent = f"left_{finger}{n}"
     names = [name for name, _, _ in joints]
-    mirror = np.array([-1.0, 1.0, 1.0])
     return Skeleton(
         names=tuple(names),
-        parents=tuple(-1 if parent is None else names.index(parent) for _, parent, _ in joints),
-        offsets=np.array(
-            [
-                offset if offset is not None else mirror * at[name.replace("right", "left")]
-                for name, _, offset in joints
-            ]
-        ),
+        parents=tuple(names.index(parent) if parent else -1 for _, parent, _ in joints),
+        offsets=np.array([offset for _, _, offset in joints]),
     )
+
+
+def _both(name: str, parent: str, offset: Sequence[float]) -> list[tuple[str, str, Any]]:
+    """Return a joint, and that of the right side if it is one of the left."""
+    right = (name.replace("left", "right"), parent.replace("left", "right"))
+    mirrored = np.array([-1.0, 1.0, 1.0]) * offset
+    return [(name, parent, offset)] + [(*right, mirrored)] * name.startswith("left")
 
 
 def is_smpl(skeleton: Skeleton) -> bool:
@@ -140,8 +130,6 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
         return motion
     rig = smpl_skeleton(n_joints)
     if not is_smpl(motion.skeleton):
-        from gesturekit.motion.retarget import retarget
-
         return retarget(motion, rig)
     rotations = np.tile(IDENTITY, (motion.n_frames, n_joints, 1))
     old = motion.skeleton
@@ -216,8 +204,8 @@ def mean_body(skeletons: Sequence[Skeleton]) -> Skeleton:
     """
     genders = [skeleton.body_shape.gender for skeleton in skeletons]
     usual = max(genders, key=genders.count)
-    own = [one for one, gender in zip(skeletons, genders) if gender == usual]
-    shapes = [skeleton.body_shape for skeleton in own]
+    bodies = [rig for rig in skeletons if rig.body_shape.gender == usual]
+    shapes = [body.body_shape for body in bodies]
     longest = max(len(shape.betas) for shape in shapes)
     betas = [np.pad(shape.betas, (0, longest - len(shape.betas))) for shape in shapes]
     pelvises = [shape.pelvis for shape in shapes if shape.pelvis is not None]
@@ -227,8 +215,103 @@ def mean_body(skeletons: Sequence[Skeleton]) -> Skeleton:
         pelvis=tuple(np.mean(pelvises, axis=0)) if pelvises else None,
     )
     ends = {
-        name: tuple(np.mean([one.end_sites[name] for one in own], axis=0))
-        for name in own[0].end_sites
+        name: tuple(np.mean([body.end_sites[name] for body in bodies], axis=0))
+        for name in bodies[0].end_sites
     }
-    offsets = np.mean([one.offsets for one in own], axis=0)
-    return replace(own[0], offsets=offsets, end_sites=ends, body_shape=shape)
+    offsets = np.mean([body.offsets for body in bodies], axis=0)
+    return replace(bodies[0], offsets=offsets, end_sites=ends, body_shape=shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Target rig of retargeting.
+
+    Attributes:
+        name: a file, or smpl, smplh or smplx.
+        skeleton: its J joints.
+        pose: (J, 4) local rotations in which it stands; None for a rig of the SMPL family.
+    """
+
+    name: str
+    skeleton: Skeleton
+    pose: np.ndarray | None = None
+
+    @classmethod
+    def load(cls, name: str | os.PathLike[str], parts: Mapping[str, str] | None = None) -> Rig:
+        """Load the rig of a motion file, or one of the SMPL family by name.
+
+        Args:
+            name: the file, or smpl, smplh or smplx.
+            parts: joints of the file specified by hand, see `Skeleton.parts`.
+
+        Raises:
+            FormatError: there is no such file, or it cannot be read.
+            MotionError: the file's parts cannot be identified, it never stands, or `parts` are
+                given for an SMPL rig, whose parts are known.
+        """
+        name, parts = os.fspath(name), parts or {}
+        if name in RIGS:
+            if parts:
+                raise MotionError(f"the parts of {name} are fixed; leave out {', '.join(parts)}")
+            return cls(name, smpl_skeleton(RIGS[name]))
+        if not Path(name).exists():
+            raise FormatError(
+                f"rig {name!r}: no such file; give a motion file that has the rig, or one of "
+                f"{', '.join(RIGS)}"
+            )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NoAnimationWarning)  # a rest pose is enough
+            motion = Motion.load(name)
+        try:
+            motion = motion.with_parts(parts)
+            return cls(Path(name).name, motion.skeleton, standing_pose(motion))
+        except MotionError as error:
+            raise MotionError(f"{name}: {error}") from None
+
+    @property
+    def options(self) -> dict[str, dict[str, str]]:
+        """Options of writers by suffix: an npz file has the pose vectors of the chosen SMPL rig."""
+        return {".npz": {"rig": self.name}} if self.pose is None else {}
+
+    def put(self, motion: Motion) -> Motion:
+        """Retarget a motion to this rig; within the SMPL family, copy joints by name.
+
+        Raises:
+            MotionError: parts of the motion's rig cannot be identified, or it never stands.
+        """
+        if self.pose is None and is_smpl(motion.skeleton):
+            return as_smpl(motion, self.skeleton.n_joints)
+        return retarget(motion, self.skeleton, pose=self.pose)
+
+
+def write_obj(
+    motion: Motion,
+    path: str | os.PathLike[str],
+    *,
+    body_model: BodyModel | str | os.PathLike[str] | None = None,
+    frame: int = 0,
+) -> None:
+    """Write the body mesh of one frame, metres, Y up.
+
+    Args:
+        motion: on a rig of the SMPL family, or one that can be retargeted to it.
+        path: the file, written atomically.
+        body_model: a `BodyModel`, its .npz file, or a folder of models (`BodyModel.of`).
+        frame: frame index; a negative one counts from the end.
+
+    Raises:
+        FormatError: no body model, or no such frame.
+    """
+    if body_model is None:
+        raise FormatError(
+            f"{path}: an .obj file holds a body mesh, which a motion has not: name a body model "
+            "(--body-model SMPLX_NEUTRAL.npz)"
+        )
+    if not -motion.n_frames <= frame < motion.n_frames:
+        raise FormatError(f"{path}: frame {frame} of a motion of {motion.n_frames} frames")
+    frame %= motion.n_frames
+    body = BodyModel.of(body_model, motion.skeleton)
+    (skin,) = body.vertices(fit_body(motion[frame : frame + 1], body))
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as out:
+        np.savetxt(out, skin, fmt="v %.6f %.6f %.6f")
+        np.savetxt(out, body.faces + 1, fmt="f %d %d %d")

@@ -4,12 +4,21 @@
 - The middle joint keeps its bending direction. A straight limb has none; it bends along the pole.
 - There is no pop at full extension: a target beyond reach is approached asymptotically, from a
   little before the limb is straight (the "soft" limit of animation rigs).
+
+`reach_feet` bends both legs in this way.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
+from gesturekit.motion.kinematics import global_rotations
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import require_legs
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -17,6 +26,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
+from gesturekit.motion.skeleton import Skeleton
 
 SOFTNESS = 0.03
 """Last share of the limb's length over which its extension is compressed."""
@@ -30,7 +40,6 @@ def two_bone_ik(
     above: np.ndarray,
     *,
     pole: np.ndarray | None = None,
-    softness: float = SOFTNESS,
     hinge: bool = False,
 ) -> np.ndarray:
     """Rotate a limb of two bones so that its end reaches a target.
@@ -43,7 +52,6 @@ def two_bone_ik(
             that of the first joint itself unless helper joints lie between.
         pole: (..., 3) direction, world, into which a straight limb bends. By default the mean
             direction of the middle joint over all frames, as the first joint sees it.
-        softness: share of the limb's length over which its extension is compressed.
         hinge: bend towards the pole only. A limb bent the other way, such as a nearly straight
             knee with noise, is bent towards the pole by the same amount, so that it never flips.
 
@@ -56,7 +64,7 @@ def two_bone_ik(
     a, b = _length(first), _length(second)
     now, wanted = _length(end - start), _length(target - start)
     along, toward = _unit(end - start), _unit(target - start)
-    new = np.maximum(reachable(wanted, a + b, now, softness), np.abs(a - b))
+    new = np.maximum(reachable(wanted, a + b, now), np.abs(a - b))
     bend = first - _dot(first, along) * along
     if pole is None:
         pole = _mean_pole(bend, multiply_quaternions(above[..., 0, :], rotations[..., 0, :]))
@@ -146,3 +154,79 @@ def _length(v: np.ndarray) -> np.ndarray:
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.maximum(_length(v), _TINY)
+
+
+class Reach(NamedTuple):
+    """A limb of two bones whose end is to be at a place.
+
+    Attributes:
+        bones: its first two joints.
+        end: the joint at its end; None for a limb that ends without one.
+        places: (T, 3, 3) world positions of its joints and its end, metres.
+        target: (T, 3) world position for its end, metres.
+        turn: (T, 4) world rotation for the joint at its end.
+        pole: (T, 3) direction into which it bends if it is straight; see `two_bone_ik`.
+    """
+
+    bones: list[int]
+    end: int | None
+    places: np.ndarray
+    target: np.ndarray
+    turn: np.ndarray | None
+    pole: np.ndarray | None = None
+
+
+def bend_limbs(
+    skeleton: Skeleton,
+    rotations: np.ndarray,
+    world: np.ndarray,
+    limbs: Sequence[Reach],
+    *,
+    hinge: bool = False,
+) -> np.ndarray:
+    """(T, J, 4) local rotations with the ends of limbs at their targets, turned as requested.
+
+    Args:
+        skeleton: J joints.
+        rotations: (T, J, 4) local rotations.
+        world: (T, J, 4) their world rotations.
+        limbs: which share no joints.
+        hinge: see `two_bone_ik`.
+    """
+    rotations = rotations.copy()
+    for limb in limbs:
+        above = world[:, [skeleton.parents[j] for j in limb.bones]]
+        rotations[:, limb.bones] = two_bone_ik(
+            limb.places,
+            limb.target,
+            rotations[:, limb.bones],
+            above,
+            pole=limb.pole,
+            hinge=hinge,
+        )
+    bent = global_rotations(rotations, skeleton)
+    for limb in limbs:
+        if limb.end is not None and limb.turn is not None:
+            back = invert_quaternions(bent[:, skeleton.parents[limb.end]])
+            rotations[:, limb.end] = multiply_quaternions(back, limb.turn)
+    return rotations
+
+
+def reach_feet(motion: Motion, ankles: np.ndarray, turns: np.ndarray) -> Motion:
+    """Bend the legs so that the ankles are at given places, and turn the feet.
+
+    A foot that is out of reach moves by as much as its leg is short.
+
+    Args:
+        motion: T frames of a rig with two legs.
+        ankles: (T, 2, 3) world positions of the left and the right ankle, metres.
+        turns: (T, 2, 4) world rotations of the ankle joints.
+    """
+    rig, positions = motion.skeleton, motion.positions()
+    limbs = []
+    for k, leg in enumerate(require_legs(rig).values()):
+        joints = [rig.index(name) for name in (leg.hip, leg.knee, leg.ankle)]
+        places = positions[:, joints]
+        limbs.append(Reach(joints[:2], joints[2], places, ankles[:, k], turns[:, k]))
+    rotations = bend_limbs(rig, motion.rotations, motion.global_rotations(), limbs)
+    return replace(motion, rotations=rotations)

@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import UP_TO_Y
-from gesturekit.formats.signatures import json_in_words
-from gesturekit.formats.smpl.amass import to_y_up
-from gesturekit.formats.smpl.skeleton import fit_body, model_pelvis, smpl_skeleton
-from gesturekit.motion.body_model.model import BodyModel
-from gesturekit.motion.body_shape import BodyShape
+from gesturekit.formats.amass import to_y_up
+from gesturekit.formats.axes import check_up
+from gesturekit.formats.registry import json_in_words
+from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -32,6 +31,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     slerp,
 )
+from gesturekit.motion.skeleton import BodyShape
 from gesturekit.wording import counted
 
 _MAX_BYTES = 16 << 20
@@ -42,6 +42,9 @@ _DIGITS = 9  # most digits of a frame number
 _LAYOUTS = {66: 22, 72: 24, 78: 52, 87: 55, 156: 52, 165: 55}
 """Length of `poses` to number of joints. 78 is a body of 22 joints and 6 PCA coefficients a hand;
 87 has jaw and eyes after them; newer versions omit the root's three numbers."""
+_OPTIONAL = ("shapes", "expression")
+_KEYS = ("Rh", "Th", "poses", *_OPTIONAL)
+"""Keys of a person."""
 _BODY = 22
 """Joints of the body without hands and face."""
 _FACE = slice(-9, None)
@@ -83,8 +86,7 @@ def read_easymocap(
         FormatError: no such folder, a broken file, no person of that id, or too long a gap.
     """
     path = Path(path)
-    if up not in ("auto", *UP_TO_Y):
-        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
+    check_up(up)
     frames = {number: _people(file) for number, file in _files(path).items()}
     seen = Counter(name for people in frames.values() for name in people)
     if not seen:
@@ -118,10 +120,8 @@ def _chosen_person(path: Path, seen: Counter[int], person: int | None) -> int:
     if person is None:
         person = min(seen, key=lambda name: (-seen[name], name))
         if len(seen) > 1:
-            warnings.warn(
-                f"{path}: several people, {listing}; {person} is read (--person chooses)",
-                stacklevel=3,
-            )
+            text = f"{path}: several people, {listing}; {person} is read (--person chooses)"
+            warnings.warn(text, stacklevel=3)
     if person not in seen:
         raise FormatError(f"{path}: no person {person}; it has {listing}")
     return person
@@ -132,12 +132,8 @@ def _files(path: Path) -> dict[int, Path]:
     if path.is_file():
         return {0: path}
     for folder in (path, *(path / name for name in SUBFOLDERS)):
-        files = {int(f.stem): f for f in folder.glob("*.json") if f.stem.isdecimal()}
-        if files:
-            if max(files) >= 10**_DIGITS:
-                raise FormatError(
-                    f"{files[max(files)]}: a frame's number of over {_DIGITS} digits; rename it"
-                )
+        numbered = [file for file in folder.glob("*.json") if file.stem.isdecimal()]
+        if files := {int(f.stem): f for f in numbered if len(f.stem) <= _DIGITS}:
             return files
     if not path.exists():
         raise FormatError(f"{path}: no such file or folder")
@@ -150,69 +146,51 @@ def _files(path: Path) -> dict[int, Path]:
 def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
     """Return the people in one frame: id to the values (N,) of each key."""
     try:
-        if file.stat().st_size > _MAX_BYTES:
+        with file.open("rb") as stream:
+            content = stream.read(_MAX_BYTES + 1)
+        if len(content) > _MAX_BYTES:
             raise FormatError(f"{file}: larger than {_MAX_BYTES >> 20} MiB; that is not a frame")
-        content = json.loads(file.read_bytes())
-    except FormatError:
-        raise
+        content = json.loads(content)
     except (OSError, ValueError, RecursionError) as error:
+        if isinstance(error, FormatError):
+            raise
         raise FormatError(f"{file}: not a readable JSON file: {error}") from None
-    people = content.get("annots") if isinstance(content, dict) else content
-    if not isinstance(people, list):
+    entries = content.get("annots") if isinstance(content, dict) else content
+    if not isinstance(entries, list):
         raise FormatError(
             f"{file}: {json_in_words(content)}; of JSON, motion is read from EasyMocap's lists of "
             "people"
         )
-    content = people
     people = {}
-    for place, entry in enumerate(content):
+    for place, entry in enumerate(entries):
         if not isinstance(entry, dict):
             raise FormatError(f"{file}: entry {place} is not a person")
         name = entry.get("id", entry.get("personID"))
         if not isinstance(name, int):
             raise FormatError(f"{file}: entry {place} has id {name!r}; expected a whole number")
-        people[name] = {
-            "Rh": _numbers(file, name, entry, "Rh", 3),
-            "Th": _numbers(file, name, entry, "Th", 3),
-            "poses": _numbers(file, name, entry, "poses"),
-            "shapes": _numbers(file, name, entry, "shapes", optional=True),
-            "expression": _numbers(file, name, entry, "expression", optional=True),
-            "has_hands": np.array("handl" in entry),
-        }
+        people[name] = {key: _numbers(f"{file}: person {name}", entry, key) for key in _KEYS}
+        people[name]["has_hands"] = np.array("handl" in entry)
     return people
 
 
-def _numbers(
-    file: Path,
-    person: int,
-    entry: dict[str, Any],
-    key: str,
-    count: int | None = None,
-    *,
-    optional: bool = False,
-) -> np.ndarray:
-    """Return the values (N,) of one key of a person, after checking them."""
+def _numbers(who: str, entry: dict[str, Any], key: str) -> np.ndarray:
+    """Return the values (N,) of one key of a person, after checking them; `who` is for messages."""
+    if key not in entry and key in _OPTIONAL:
+        return np.empty(0)
     if key not in entry:
-        if optional:
-            return np.empty(0)
-        raise FormatError(f"{file}: person {person} has no {key!r}")
+        raise FormatError(f"{who} has no {key!r}")
     try:
         values = np.array(entry[key], dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise FormatError(f"{file}: {key!r} of person {person} is not a table of numbers") from None
-    if count is not None and len(values) != count:
-        raise FormatError(
-            f"{file}: {key!r} of person {person} has {len(values)} numbers; expected {count}"
-        )
+        raise FormatError(f"{who}: {key!r} is not a table of numbers") from None
     if len(values) > 1000 or not np.isfinite(values).all():
-        raise FormatError(
-            f"{file}: {key!r} of person {person} holds no finite numbers, or too many"
-        )
-    if key == "poses" and len(values) not in _LAYOUTS and len(values) + 3 not in _LAYOUTS:
-        raise FormatError(
-            f"{file}: 'poses' of person {person} has {len(values)} numbers; expected "
-            f"{', '.join(map(str, _LAYOUTS))}, or three less without the root"
-        )
+        raise FormatError(f"{who}: {key!r} holds no finite numbers, or too many")
+    n = len(values)
+    is_right = n in _LAYOUTS or n + 3 in _LAYOUTS if key == "poses" else n == 3
+    if key not in _OPTIONAL and not is_right:
+        expected = f"{', '.join(map(str, _LAYOUTS))}, or three less without the root"
+        expected = expected if key == "poses" else "3"
+        raise FormatError(f"{who}: {key!r} has {n} numbers; expected {expected}")
     return values
 
 
@@ -220,9 +198,9 @@ def _check_gaps(path: Path, numbers: np.ndarray, fps: float, max_gap: float) -> 
     """Raise FormatError if frame numbers (N,) have a gap of more than `max_gap` seconds."""
     if not (np.isfinite(fps) and fps > 0):
         raise FormatError(f"{path}: fps is {fps!r}; expected a positive number")
-    missing = np.diff(numbers) - 1
-    widest = int(missing.argmax()) if len(missing) else 0
-    if len(missing) and missing[widest] > max_gap * fps:
+    missing = np.diff(numbers, append=numbers[-1] + 1) - 1
+    widest = int(missing.argmax())
+    if missing[widest] > max_gap * fps:
         first, last = numbers[widest] + 1, numbers[widest + 1] - 1
         raise FormatError(
             f"{path}: frames {first} to {last} are missing, {(last - first + 1) / fps:.2f} s; cut "

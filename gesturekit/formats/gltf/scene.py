@@ -1,19 +1,25 @@
-"""Animations of a glTF file: curves of nodes, and the frame rate of their keys."""
+"""Nodes of a glTF file, their transforms at rest or along curves, and the rate of the keys."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import FormatError
-from gesturekit.formats.frame_rate import COMMON_RATES
-from gesturekit.formats.gltf.file import Gltf
-from gesturekit.motion.resampling import HIGHEST_FPS, LOWEST_FPS, checked_fps
-from gesturekit.motion.rotations import normalize_quaternions, slerp
+from gesturekit.formats.gltf.file import FARTHEST, Gltf
+from gesturekit.motion.resampling import COMMON_RATES, HIGHEST_FPS, LOWEST_FPS, checked_fps
+from gesturekit.motion.rotations import (
+    matrix_from_quaternion,
+    multiply_quaternions,
+    normalize_quaternions,
+    quaternion_from_matrix,
+    slerp,
+)
 from gesturekit.wording import listed
 
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
@@ -62,13 +68,13 @@ class Curve:
             (_, start, out), (into, end, _) = (
                 np.moveaxis(self.values[k], 1, 0) for k in (left, right)
             )
-            found = (
+            between = (
                 (2 * u**3 - 3 * u**2 + 1) * start
                 + (u**3 - 2 * u**2 + u) * dt * out
                 + (3 * u**2 - 2 * u**3) * end
                 + (u**3 - u**2) * dt * into
             )
-            return normalize_quaternions(found) if is_rotation else found
+            return normalize_quaternions(between) if is_rotation else between
         start, end = self.values[left], self.values[right]
         if self.interpolation == "STEP":
             return start
@@ -173,14 +179,13 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
     """
     entries, keys = gltf.items("animations"), _Keys(gltf)
     names = [str(entry.get("name", "")) for entry in entries]
-    shown = listed([one[:60] or str(k) for k, one in enumerate(names, start=1)], _SHOWN)
+    numbers = list(map(str, range(1, len(names) + 1)))
+    labels = [label[:60] or number for label, number in zip(names, numbers)]
+    shown = listed(labels, _SHOWN)
     if name is not None:
-        if name in names:
-            chosen = names.index(name)
-        elif name.isdecimal() and 0 < int(name) <= len(names):
-            chosen = int(name) - 1
-        else:
+        if name not in (*names, *numbers):
             raise FormatError(f"{gltf.path}: no animation {name!r}; it has {shown or 'none'}")
+        chosen = (names if name in names else numbers).index(name)
         return keys.animation(entries[chosen], nodes)
     seconds = {k: keys.seconds(entry, nodes) for k, entry in enumerate(entries)}
     if moving := {k: end for k, end in seconds.items() if end is not None}:
@@ -188,7 +193,7 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
         if len(moving) > 1:
             warnings.warn(
                 f"{gltf.path}: of its animations ({shown}), the longest is read, "
-                f"{names[longest][:60] or longest + 1}; --animation NAME chooses",
+                f"{labels[longest]}; --animation NAME chooses",
                 stacklevel=3,
             )
         return keys.animation(entries[longest], nodes)
@@ -208,7 +213,8 @@ class _Keys:
 
     def animation(self, entry: dict[str, Any], nodes: set[int]) -> Animation:
         """Return an animation with the curves of some nodes."""
-        curves = {key: self._curve(one, key[1]) for key, one in self._samplers(entry, nodes)}
+        samplers = self._samplers(entry, nodes)
+        curves = {key: self._curve(sampler, key[1]) for key, sampler in samplers}
         rate = self._gltf.object(entry, "extras").get("fps", 0)
         right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
         return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
@@ -237,12 +243,12 @@ class _Keys:
     def _at(self, sampler: dict[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the times (K,) of a sampler in order, and the order unless it is that in file."""
         index = sampler.get("input")
-        found = self._gltf.array(index, "times", 1)[:, 0]
+        stored = self._gltf.array(index, "times", 1)[:, 0]
         if index not in self._times:
-            if not len(found):
+            if not len(stored):
                 raise self._gltf.error("an animation has 0 times")
-            self._gltf.spend("times", decoded=8 * len(found), work=len(found))
-            times, order = found.astype(float), None
+            self._gltf.spend("times", decoded=8 * len(stored), work=len(stored))
+            times, order = stored.astype(float), None
             if (np.diff(times) < 0).any():
                 order = np.argsort(times, kind="stable")
                 times = times[order]
@@ -254,13 +260,13 @@ class _Keys:
         if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
             raise gltf.error(f"the interpolation {str(how)[:40]!r} is not known")
         times, order = self._at(sampler)
-        found = gltf.array(sampler.get("output"), path, _WIDTHS[path])
+        stored = gltf.array(sampler.get("output"), path, _WIDTHS[path])
         key = sampler["input"], sampler["output"], path, how
         if key not in self._curves:
             each = 3 if how == "CUBICSPLINE" else 1
-            if len(found) < each * len(times):
-                raise gltf.error(f"{len(found)} values of {path} for {len(times)} times")
-            values = found[: each * len(times)]
+            if len(stored) < each * len(times):
+                raise gltf.error(f"{len(stored)} values of {path} for {len(times)} times")
+            values = stored[: each * len(times)]
             gltf.spend(f"keys of {path}", decoded=8 * values.size, work=values.size)
             values = values.astype(float, copy=False)
             if each == 3:
@@ -269,3 +275,144 @@ class _Keys:
                 values = normalize_quaternions(values)
             self._curves[key] = Curve(times, values if order is None else values[order], how)
         return self._curves[key]
+
+
+AT_REST = np.zeros(1)
+"""A time (1,) for the rest pose, which has no curves."""
+_DEEPEST = 1000
+"""Largest number of nodes above one another; bodies have about 20."""
+_AT_ONCE, _FEWEST = 100_000, 20
+"""Nodes times frames that are computed in one block, which bounds memory, and its least frames."""
+
+
+class Nodes:
+    """Tree of N nodes.
+
+    Attributes:
+        order: all nodes, parents first, otherwise in the order of the file.
+        parents: parent of each node, -1 for roots.
+        depth: number of nodes above each node.
+        rest: {"translation": (N, 3), "rotation": (N, 4), "scale": (N, 3)} in the parent's frame.
+    """
+
+    def __init__(self, gltf: Gltf) -> None:
+        """Read the nodes of a file.
+
+        Raises:
+            FormatError: they form no tree, or one that is too deep.
+        """
+        nodes = gltf.items("nodes")
+        below = [gltf.wholes(node, "children", len(nodes)) for node in nodes]
+        self.parents = [-1] * len(nodes)
+        for above, children in enumerate(below):
+            for child in children:
+                if self.parents[child] != -1 or child == above:
+                    raise gltf.error(f"node {child} has two parents")
+                self.parents[child] = above
+        self.depth = [0] * len(nodes)
+        self.order: list[int] = []
+        waiting = [node for node, parent in enumerate(self.parents) if parent == -1]
+        while waiting:  # a heap
+            self.order.append(node := heappop(waiting))
+            for child in below[node]:
+                self.depth[child] = self.depth[node] + 1
+                heappush(waiting, child)
+        if len(self.order) < len(nodes):
+            raise gltf.error("its nodes form no tree")
+        if any(depth > _DEEPEST for depth in self.depth):
+            raise gltf.error(f"over {_DEEPEST} nodes above one another")
+        self._gltf = gltf
+        rest = np.array([np.concatenate(self._local(node)) for node in nodes]).reshape(-1, 10)
+        self.rest = {
+            "translation": rest[:, :3],
+            "rotation": rest[:, 3:7],
+            "scale": rest[:, 7:],
+        }
+
+    def _local(self, node: dict) -> tuple[np.ndarray, ...]:
+        gltf = self._gltf
+        if "matrix" in node:
+            matrix = gltf.numbers(node, "matrix", [0.0] * 16).reshape(4, 4).T
+            linear = matrix[:3, :3]
+            scale = np.linalg.norm(linear, axis=0)
+            if np.linalg.det(linear) < 0:
+                scale[0] *= -1
+            turn = quaternion_from_matrix(linear / np.where(scale == 0, 1.0, scale))
+            return matrix[:3, 3], turn, scale
+        turn = normalize_quaternions(gltf.numbers(node, "rotation", [0.0, 0.0, 0.0, 1.0]))
+        return (
+            gltf.numbers(node, "translation", [0.0, 0.0, 0.0]),
+            turn,
+            gltf.numbers(node, "scale", [1.0, 1.0, 1.0]),
+        )
+
+    def with_ancestors(self, nodes: list[int]) -> list[int]:
+        """Return nodes and all above them, parents first."""
+        needed = set(nodes)
+        for node in nodes:
+            while (node := self.parents[node]) >= 0 and node not in needed:
+                needed.add(node)
+        return [node for node in self.order if node in needed]
+
+    def matrices(self) -> np.ndarray:
+        """Return the transforms (N, 4, 4) from each node to the world at rest."""
+        places, _, linear = self._block(self.order, {}, AT_REST)
+        world = np.tile(np.eye(4), (len(self.order), 1, 1))
+        world[self.order, :3, :3], world[self.order, :3, 3] = linear[0], places[0]
+        return world
+
+    def world(
+        self,
+        nodes: list[int],
+        curves: Mapping[tuple[int, str], Curve],
+        times: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return world positions (T, n, 3) and rotations (T, n, 4) of nodes at times (T,).
+
+        Args:
+            nodes: n nodes.
+            curves: by node and property; other properties are those at rest.
+            times: seconds.
+
+        Raises:
+            FormatError: a node is too far away.
+        """
+        needed = self.with_ancestors(nodes)
+        at = {node: k for k, node in enumerate(needed)}
+        wanted = [at[node] for node in nodes]
+        positions = np.empty((len(times), len(nodes), 3))
+        rotations = np.empty((len(times), len(nodes), 4))
+        size = max(_FEWEST, _AT_ONCE // len(needed))
+        for start in range(0, len(times), size):
+            part = slice(start, start + size)
+            places, turns, _ = self._block(needed, curves, times[part])
+            positions[part], rotations[part] = places[:, wanted], turns[:, wanted]
+        return positions, rotations
+
+    def _block(
+        self, nodes: list[int], curves: Mapping[tuple[int, str], Curve], times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions (T, n, 3), rotations (T, n, 4) and linear parts (T, n, 3, 3).
+
+        `nodes` are n nodes with all above them, parents first.
+        """
+        at = {node: k for k, node in enumerate(nodes)}
+        local = {name: np.tile(rest[nodes], (len(times), 1, 1)) for name, rest in self.rest.items()}
+        for (node, name), curve in curves.items():
+            if node in at:
+                local[name][:, at[node]] = curve.at(times)
+        places, turns = local["translation"], local["rotation"]
+        linear = matrix_from_quaternion(turns) * local["scale"][..., None, :]
+        parents = np.array([at.get(self.parents[node], -1) for node in nodes], int)
+        depth = np.array([self.depth[node] for node in nodes], int)
+        by_depth = np.argsort(depth, kind="stable")
+        for level in np.split(by_depth, np.flatnonzero(np.diff(depth[by_depth])) + 1)[1:]:
+            above = parents[level]
+            places[:, level] = places[:, above] + np.einsum(
+                "tnij,tnj->tni", linear[:, above], places[:, level]
+            )
+            turns[:, level] = multiply_quaternions(turns[:, above], turns[:, level])
+            linear[:, level] = linear[:, above] @ linear[:, level]
+        if not ((np.abs(places) <= FARTHEST).all() and (np.abs(linear) <= FARTHEST).all()):
+            raise self._gltf.error(f"places of its nodes are beyond {FARTHEST:g}")
+        return places, turns, linear

@@ -1,1 +1,0 @@
-"""SMPL, AMASS and EasyMocap files."""

@@ -1,0 +1,289 @@
+"""Tables as text: events on the time line, paths over the ground, BEAT's scores of gestures.
+
+Paths over the ground are also read from motion files.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gesturekit.errors import FormatError, ModelError, MotionError
+from gesturekit.formats.registry import READABLE
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import LOWEST_FPS
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.skeleton import FARTHEST
+from gesturekit.wording import did_you_mean
+
+_MEGABYTES = 32
+_MOST_NAMES = 1000  # different names of events
+_LONGEST_NAME = 80  # characters
+_DAY = 24 * 3600.0  # seconds
+_SECONDS = 0.0, 7 * _DAY, "seconds, 0 or more"
+FINEST = 120.0
+"""Largest frame rate to which a table of uneven times is resampled."""
+_PATH = ("time", "x", "z", "heading")
+_MAX_FRAMES = 10_000_000  # a day at 120 fps
+_EVEN = 0.02
+"""Largest deviation from evenly spaced times (due to rounding), as a share of a step."""
+
+
+def read_table(
+    path: Path, columns: Sequence[str], optional: Sequence[str] = ()
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the rows of a table, each with its location (file and line) and its cells by column.
+
+    Columns may be in any order; blank lines are skipped.
+
+    Args:
+        path: the file.
+        columns: required columns.
+        optional: optional columns.
+
+    Raises:
+        FormatError: the file is missing, too large, or not such a table; with its line.
+    """
+    rows = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
+    names: list[str] | None = None
+    try:
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            where = f"{path}, line {rows.line_num}"
+            if names is None:
+                names = _names(where, row, columns, optional)
+                continue
+            if len(row) != len(names):
+                raise FormatError(
+                    f"{where}: {len(row)} values; expected {len(names)} ({','.join(names)})"
+                )
+            yield where, {name: cell.strip() for name, cell in zip(names, row, strict=True)}
+    except csv.Error as error:
+        raise FormatError(f"{path}, line {rows.line_num}: not a CSV table ({error})") from None
+    if names is None:
+        raise FormatError(f"{path}: empty; a table begins with the line {','.join(columns)}")
+
+
+def _text(path: Path, errors: str = "strict") -> str:
+    if path.exists() and not path.is_file():
+        raise FormatError(f"{path}: not a regular file")
+    most = _MEGABYTES << 20
+    try:
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+        if len(data) > most:
+            raise FormatError(f"{path}: over {_MEGABYTES} MB, too large for such a table")
+        return data.decode("utf-8-sig", errors)
+    except FileNotFoundError:
+        raise FormatError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(f"{path}: cannot be read as text ({error})") from None
+
+
+def _names(where: str, row: list[str], columns: Sequence[str], optional: Sequence[str]) -> list:
+    names = [cell.strip().lower() for cell in row]
+    known = [*columns, *optional]
+    expected = "expected " + ",".join([*columns, *(f"[{name}]" for name in optional)])
+    for name in names:
+        if name not in known:
+            hint = did_you_mean(name, known, "did you mean {}? ")
+            raise FormatError(f"{where}: column {name[:40]!r}; {hint}{expected}")
+        if names.count(name) > 1:
+            raise FormatError(f"{where}: two columns {name!r}; {expected}")
+    if missing := [name for name in columns if name not in names]:
+        raise FormatError(f"{where}: no column {', '.join(missing)}; {expected}")
+    return names
+
+
+def _number(where: str, column: str, cell: str, low: float, high: float, kind: str) -> float:
+    try:
+        number = float(cell)
+    except ValueError:
+        number = math.nan
+    if not low <= number <= high:
+        raise FormatError(f"{where}: {column} is {cell[:40]!r}; expected {kind}")
+    return number
+
+
+@dataclass(frozen=True, order=True)
+class Event:
+    """Something that happens: a kick, a beat of the music, a nod.
+
+    Attributes:
+        time: when it begins, seconds from the beginning of the recording.
+        name: what it is.
+        duration: seconds; 0 for a single frame.
+    """
+
+    time: float
+    name: str
+    duration: float = 0.0
+
+
+def load_events(path: str | os.PathLike[str]) -> tuple[Event, ...]:
+    """Read a CSV table of events, in order of time.
+
+    The first line names the columns, `time,name` or `time,name,duration` in any order: seconds
+    from the beginning of the recording, a name, and seconds (empty for a single frame).
+
+    Raises:
+        FormatError: the file is missing, too large, or not such a table; with its line.
+    """
+    events: list[Event] = []
+    names: set[str] = set()
+    for where, cells in read_table(Path(path), ("time", "name"), ("duration",)):
+        name = cells["name"]
+        if not name or len(name) > _LONGEST_NAME or not name.isprintable():
+            raise FormatError(
+                f"{where}: name is {name[:40]!r}; expected 1 to {_LONGEST_NAME} printable "
+                "characters"
+            )
+        names.add(name)
+        if len(names) > _MOST_NAMES:
+            raise FormatError(
+                f"{where}: more than {_MOST_NAMES} different names; are they names of events?"
+            )
+        time = _number(where, "time", cells["time"], *_SECONDS)
+        duration = _number(where, "duration", cells.get("duration") or "0", *_SECONDS)
+        events.append(Event(time, name, duration))
+    return tuple(sorted(events))
+
+
+def as_root_path(path: str | os.PathLike[str] | RootPath | Motion, scale: float = 1.0) -> RootPath:
+    """Return a path given as a path, a motion, or the name of a file.
+
+    `scale` is that of `load_root_path`.
+
+    Raises:
+        ModelError: it is none of these.
+        FormatError: a file that cannot be read.
+    """
+    if isinstance(path, RootPath):
+        return path
+    if isinstance(path, Motion):
+        return RootPath.of(path)
+    if isinstance(path, (str, os.PathLike)):
+        return load_root_path(path, scale)
+    raise ModelError(
+        f"path is a {type(path).__name__}; give a RootPath, a Motion, or the name of a file"
+    )
+
+
+def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath:
+    """Read a path from a CSV table or from any motion file.
+
+    The table's first line names its columns, `time,x,z` or `time,x,z,heading` in any order:
+    seconds from the beginning of the path (the first is 0), metres, and degrees about Y (0 faces
+    +Z, 90 faces +X). Without headings the path faces its direction of travel. Positions are
+    interpolated linearly, so a few rows are enough. Even times give the frame rate; uneven ones
+    are resampled at the rate of the shortest step, 120 fps at most.
+
+    Args:
+        path: the file.
+        scale: `body_scale` of the body that follows it, to scale the speed of standing.
+
+    Raises:
+        FormatError: the file is missing, too large, or not such a table; with its line.
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix.lower() in READABLE:
+        return RootPath.of(Motion.load(path))
+    if path.suffix.lower() != ".csv":
+        raise FormatError(
+            f"{path}: cannot read a path from {path.suffix or 'a file without suffix'}; expected "
+            f"{', '.join(READABLE)}, or .csv with the columns {','.join(_PATH)}"
+        )
+    times, x, z, *angles = _path_columns(path)
+    fps = _frame_rate(path, times)
+    n_frames = int(np.floor(times[-1] * fps + 0.5)) + 1
+    if n_frames > _MAX_FRAMES:
+        raise FormatError(
+            f"{path}: {times[-1]:g} s at {fps:.6g} fps are {n_frames} frames of a path; are the "
+            "times seconds?"
+        )
+    at = np.arange(n_frames) / fps
+    places = np.stack([np.interp(at, times, x), np.interp(at, times, z)], axis=-1)
+    try:
+        if not angles:
+            return RootPath.looking_ahead(places, fps, scale)
+        headings = np.interp(at, times, np.unwrap(np.radians(angles[0])))
+        return RootPath(places, headings, fps)
+    except MotionError as error:
+        raise FormatError(f"{path}: {error}") from None
+
+
+def _path_columns(path: Path) -> np.ndarray:
+    """Return (3 or 4, N) values in the order of `_PATH`."""
+    values: list[list[float]] = []
+    for where, cells in read_table(path, _PATH[:3], _PATH[3:]):
+        numbers = [
+            _number(where, name, cells[name], -FARTHEST, FARTHEST, "a finite number")
+            for name in _PATH
+            if name in cells
+        ]
+        if not values and abs(numbers[0]) > 1e-9:
+            raise FormatError(f"{where}: the first time is {numbers[0]:g}; a path begins at 0 s")
+        if values and numbers[0] <= values[-1][0]:
+            raise FormatError(
+                f"{where}: time {numbers[0]:g} does not come after {values[-1][0]:g}; rows must "
+                "be in order of time"
+            )
+        values.append(numbers)
+    if len(values) < 2:
+        raise FormatError(
+            f"{path}: {len(values)} row{'s' if len(values) != 1 else ''} below the names of the "
+            "columns; a path needs at least two"
+        )
+    return np.array(values).T
+
+
+def _frame_rate(path: Path, times: np.ndarray) -> float:
+    """Return 1 / step if all steps of times (N,) are equal, else the rate of the shortest step.
+
+    A whole number is preferred if it explains the times equally well.
+    """
+    steps = np.diff(times)
+    mean = times[-1] / len(steps)
+    if not 1e-9 < mean < 1 / LOWEST_FPS:
+        raise FormatError(f"{path}: rows {mean:g} s apart; are the times seconds?")
+    if np.abs(times - mean * np.arange(len(times))).max() > _EVEN * mean:
+        return float(1 / max(1 / FINEST, steps.min()))
+    whole = round(1 / mean)
+    if whole and abs(len(steps) / whole - times[-1]) <= _EVEN * mean:
+        return float(whole)
+    return float(1 / mean)
+
+
+def load_semantics(path: Path) -> list[tuple[float, float, float]]:
+    """Read BEAT's table of gestures: (start, end, score) of each, in the order of the file.
+
+    Lines are separated by tabs: gesture name, start, end, duration (seconds), score (0 to 1),
+    keywords.
+
+    Raises:
+        FormatError: the table cannot be read, or a line is invalid.
+    """
+    intervals = []
+    rows = csv.reader(io.StringIO(_text(path, "replace"), newline=""), delimiter="\t")
+    try:
+        for row in filter(None, rows):
+            start, end, score = (float(row[column]) for column in (1, 2, 4))
+            if not (0 <= start <= end <= _DAY and 0 <= score <= 1):
+                raise ValueError
+            intervals.append((start, end, score))
+    except csv.Error as error:
+        raise FormatError(f"{path}: cannot be read ({error})") from error
+    except (IndexError, ValueError):
+        raise FormatError(
+            f"{path}: line {rows.line_num}: {' '.join(row)[:60]!r}: expected name, start, end, "
+            "duration (seconds) and score (0 to 1), separated by tabs"
+        ) from None
+    return intervals

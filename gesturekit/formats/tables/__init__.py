@@ -1,1 +1,0 @@
-"""CSV tables of root paths and events."""

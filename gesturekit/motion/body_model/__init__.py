@@ -1,1 +1,0 @@
-"""Body models with a skinned mesh."""
