@@ -26,7 +26,7 @@ from gesturekit.model import MotionStream, build_controls, document_controls
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.channels import StateChannels
-from gesturekit.state.format import load_state, state_tensors, state_values
+from gesturekit.state.files import load_state, state_tensors, state_values
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.own_rig import on_rig
 from gesturekit.training.model_folder import (

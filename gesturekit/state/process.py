@@ -29,8 +29,8 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import rankdata
 
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.state.ahead import AheadPrediction
 from gesturekit.state.channels import CARRIERS, SPEED_FLOOR, StateChannels
+from gesturekit.state.live import AheadPrediction
 from gesturekit.state.prediction import WantedMovement, correlation
 
 _BETWEEN_TAKES, _PRIOR_TAKES = 1 / 3, 3.0

@@ -16,7 +16,7 @@ from gesturekit.multires import (
     block_neighbours,
     convolve_dense,
 )
-from gesturekit.multires.network.torch_backend import TorchBackend
+from gesturekit.multires.networks import TorchBackend
 
 engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
 sparse_conv = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")

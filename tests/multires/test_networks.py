@@ -20,12 +20,12 @@ from gesturekit.multires import (
     SkeletonConv1d,
     block_neighbours,
 )
-from gesturekit.multires.network.generator import Film, modulated_blocks
-from gesturekit.multires.network.resampling import (
+from gesturekit.multires.layers import (
     reflect,
     resample,
     resample_part,
 )
+from gesturekit.multires.networks import Film, modulated_blocks
 from gesturekit.systems import model_folder
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)

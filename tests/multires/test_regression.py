@@ -15,7 +15,7 @@ from gesturekit.state import (
     slow_inputs,
     usual_voice,
 )
-from gesturekit.state.ahead import AheadPrediction, FeatureWindow, last_bins
+from gesturekit.state.live import AheadPrediction, FeatureWindow, last_bins
 
 FPS = 12.5
 

@@ -11,12 +11,16 @@ from rigs import PERSON, at_rest, rig_of
 import audio_features as af
 import gesturekit as gk
 from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_angles
-from gesturekit.multires import MultiresGenerator, Pyramid
-from gesturekit.multires.sampling.trained_model import clocked_noise
-from gesturekit.multires.streaming.features import SpeechStream
-from gesturekit.multires.streaming.feet import FootHold
-from gesturekit.multires.streaming.levels import WindowLevels
-from gesturekit.multires.streaming.live_state import Forecast, LiveChoice, LiveState
+from gesturekit.multires import MultiresGenerator
+from gesturekit.multires.sampling.trained_model import generated
+from gesturekit.multires.streaming.stream import FootHold
+from gesturekit.multires.streaming.window import (
+    Forecast,
+    LiveChoice,
+    LiveState,
+    SpeechStream,
+    WindowLevels,
+)
 
 RATE = 16_000
 FPS = 30.0
@@ -179,9 +183,9 @@ def test_levels_of_a_frame_are_those_of_the_whole_window(state_model, film, resi
     speech = rng.standard_normal((64, conditions.conditioner.dim)).astype(np.float32)
     state = rng.standard_normal((conditions.state.width, 64)).astype(np.float32)
     condition = conditions.of_motion(speech, lengths, styles, (), state)
-    sigma = own.noise.sigma.mean(dim=0)[0]
-    noise = clocked_noise(state[None], conditions.state.n_carriers, lengths[0], sigma)
-    whole = Pyramid(own, lengths, condition).from_noise(noise)
+    noise = own.noise.random(own.styles)
+    noises = noise.clocked(state[None], conditions.n_carriers, lengths)
+    whole = generated(own, noises, lengths, condition)
     found = WindowLevels(own, lengths, styles, part)(speech, state=state)
     found = own.normaliser.to_values(found[None])
     np.testing.assert_allclose(found, whole[part.start : part.stop], atol=1e-4)

@@ -14,7 +14,7 @@ from gesturekit.diffusion.sampling.request import Request
 from gesturekit.diffusion.state import measured
 from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
-from gesturekit.state.given import given_state
+from gesturekit.state.files import given_state
 from gesturekit.training.seeds import rng_for
 
 

@@ -21,7 +21,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.channels import StateChannels
-from gesturekit.state.format import load_state, state_tensors, state_values
+from gesturekit.state.files import load_state, state_tensors, state_values
 from gesturekit.state.process import StateProcess
 from gesturekit.training.data.arrays import ArrayFolder, StoredArray, StoredFrames
 from gesturekit.training.data.data_folder import load_data, save_data

@@ -16,13 +16,13 @@ from gesturekit.formats.tables.root_path import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.constraints.inbetweening import InbetweenClips
-from gesturekit.multires.constraints.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.sampling.conditions import level_range, requested_styles
+from gesturekit.multires.sampling.constraints import InbetweenClips
+from gesturekit.multires.sampling.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.sampling.trained_model import TrainedModel
 from gesturekit.postprocess import Placement
-from gesturekit.state.given import check_drawn, given_state
+from gesturekit.state.files import check_drawn, given_state
 from gesturekit.training.data.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for
 
@@ -132,6 +132,11 @@ class Request:
         """T, without margins."""
         return self.lengths[-1] - 2 * self.margin
 
+    @property
+    def is_coarse(self) -> bool:
+        """True if the motion ends with a level that is not the finest."""
+        return self.controls["levels"] not in (None, len(self.lengths))
+
 
 def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
     """Return features (T + 2 margin, S), which continue as at their ends: active or silent."""
@@ -146,7 +151,7 @@ def _given_state(
     if model.state_process is None:
         return None
     if state is None and controls["like"] is not None and start is not None:
-        state = model.measured(start)
+        state = model.state(start)
     return None if state is None else given_state(model.state_process, state, n_frames)
 
 

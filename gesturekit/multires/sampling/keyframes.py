@@ -21,8 +21,8 @@ import audio_features as af
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
+from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.network.resampling import resample
 from gesturekit.training.data.own_rig import on_rig
 
 _EASE_SECONDS = 0.1

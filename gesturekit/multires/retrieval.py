@@ -10,8 +10,8 @@ not shown lately.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -19,7 +19,76 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.retrieval.passive import PassiveChannels
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import quaternion_from_sixd, sixd_from_quaternion
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.training.model_folder import ModelParts
+from gesturekit.wording import counted, roughly
+
+_FRAMES_AT_ONCE = 1024
+"""Frames decoded in one call, which bounds the memory of long motions."""
+_STILL = 0.01
+"""Standard deviation of a rotation's six numbers below which a joint does not move."""
+
+
+@dataclass(frozen=True)
+class PassiveChannels:
+    """Fingers and other joints that move in the recordings but are not modelled, and the face.
+
+    Attributes:
+        joints: names of the F joints.
+        expressions: number E of SMPL-X face coefficients.
+    """
+
+    joints: tuple[str, ...] = ()
+    expressions: int = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """True without such joints and without a face."""
+        return not self.joints and not self.expressions
+
+    @classmethod
+    def find(cls, motions: Sequence[Motion], modelled: Sequence[str]) -> PassiveChannels:
+        """Find the channels that move in the motions of one rig but are not modelled."""
+        moving = []
+        for j, name in enumerate(motions[0].skeleton.names):
+            if name not in modelled:
+                sixd = [sixd_from_quaternion(motion.rotations[:, j]) for motion in motions]
+                if np.concatenate(sixd).std(axis=0).max() > _STILL:
+                    moving.append(name)
+        faces = [motion.expressions for motion in motions]
+        widths = {0 if face is None else face.shape[1] for face in faces}
+        return cls(tuple(moving), widths.pop() if len(widths) == 1 else 0)
+
+    def encode(self, motion: Motion) -> Tensor:
+        """Return (6 F + E, T) float32 rotations and face coefficients."""
+        index = [motion.skeleton.index(name) for name in self.joints]
+        rows = sixd_from_quaternion(motion.rotations[:, index]).reshape(motion.n_frames, -1)
+        if self.expressions:
+            rows = np.concatenate([rows, motion.expressions], axis=1)
+        return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
+
+    def applied(self, motion: Motion, values: Callable[[slice], Tensor]) -> Motion:
+        """Return the motion (T frames) with these channels.
+
+        Args:
+            motion: on the rig.
+            values: returns the channels (6 F + E, N) of a range of its frames.
+        """
+        rotations = motion.rotations.copy()
+        index = [motion.skeleton.index(name) for name in self.joints]
+        face = np.empty((motion.n_frames, self.expressions))
+        for start in range(0, motion.n_frames, _FRAMES_AT_ONCE):
+            part = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
+            rows = values(part).T.double().numpy()
+            if index:
+                sixd = rows[:, : 6 * len(index)].reshape(len(rows), len(index), 6)
+                rotations[part, index] = quaternion_from_sixd(sixd)
+            face[part] = rows[:, 6 * len(index) :]
+        expressions = face if self.expressions else motion.expressions
+        return replace(motion, rotations=rotations, expressions=expressions)
+
 
 _POINTS = 8
 """Means over a piece by which states are compared."""
@@ -297,3 +366,80 @@ def played_pieces(
         frames = np.clip(pieces.next_frame + np.arange(library.piece), 0, last)
         pieces.choose(state[:, frames])
     return pieces
+
+
+_CURVES = ("state", "motion", "passive")
+
+
+def library_values(library: RecordedLibrary) -> dict[str, Any]:
+    """Return the plain values of a library."""
+    return {
+        "recordings": [[part.speaker, part.style] for part in library.recordings],
+        "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
+    }
+
+
+def library_row(library: RecordedLibrary) -> str:
+    """Return "30 joints and 50 face coefficients from 4 min of recordings, 1.2 MB of ..."."""
+    passive = library.passive
+    what = [counted(len(passive.joints), "joint")] if passive.joints else []
+    what += [counted(passive.expressions, "face coefficient")] if passive.expressions else []
+    size = sum(tensor.numel() for tensor in library_tensors(library).values()) * 4 / 1e6
+    seconds = sum(own.state.shape[1] for own in library.recordings) / library.fps
+    played = "the whole body" if library.is_whole else " and ".join(what)
+    return f"{played} from {roughly(seconds)} of recordings, {size:.1f} MB of model.safetensors"
+
+
+def library_tensors(library: RecordedLibrary) -> dict[str, Tensor]:
+    """Return the tensors of a library by name."""
+    return {
+        f"recorded.{i}.{name}": getattr(recording, name).contiguous()
+        for i, recording in enumerate(library.recordings)
+        for name in _CURVES
+    }
+
+
+def load_library(
+    parts: ModelParts, representation: MultiresRepresentation, n_channels: int
+) -> RecordedLibrary | None:
+    """Read what `library_values` and `library_tensors` wrote; None for a model without.
+
+    `n_channels` is the number of channels of the state of movement.
+
+    Raises:
+        ValueError: tensors whose shapes do not fit the model, or that are not finite.
+    """
+    values, tensors = parts.config["recorded"], parts.tensors
+    if values is None:
+        return None
+    passive = PassiveChannels(
+        tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
+    )
+    for name in passive.joints:
+        representation.skeleton.index(name)
+    recordings = tuple(
+        RecordedMotion(
+            **{name: tensors[f"recorded.{i}.{name}"].float() for name in _CURVES},
+            speaker=speaker,
+            style=int(style),
+        )
+        for i, (speaker, style) in enumerate(values["recordings"])
+    )
+    if not recordings:
+        raise ValueError("recorded: no recording")
+    library = RecordedLibrary(float(parts.config["fps"]), passive, recordings)
+    sizes = {
+        "state": n_channels + 1,
+        "motion": representation.n_features if library.is_whole else 0,
+        "passive": 6 * len(passive.joints) + passive.expressions,
+    }
+    for i, recording in enumerate(recordings):
+        n_frames = recording.state.shape[-1]
+        for name, size in sizes.items():
+            found = getattr(recording, name)
+            if tuple(found.shape) != (size, n_frames) or not n_frames:
+                shape = tuple(found.shape)
+                raise ValueError(f"recorded.{i}.{name} has the shape {shape}, not {size} rows")
+            if not torch.isfinite(found).all():
+                raise ValueError(f"recorded.{i}.{name} has numbers that are not finite")
+    return library

@@ -1,8 +1,15 @@
-"""Generators of the pyramid, with FiLM (Moreno-Villamarin et al. 2024, section 3, eqs. 6 to 10)."""
+"""Networks of the pyramid in plain torch (Moreno-Villamarin et al. 2024, section 3).
+
+`LevelGenerator` is G_i with FiLM (eqs. 6 to 10), `LevelDiscriminator` is D_i, and `TorchBackend`
+defines the operations that the CPU engine computes faster.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -10,16 +17,19 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gesturekit.motion.parts import unidentified, upper_body
-from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.network.skeleton_conv import (
+from gesturekit.multires import losses
+from gesturekit.multires.config import LossConfig, NetworkConfig
+from gesturekit.multires.layers import (
     SLOPE,
     Convolve,
+    SkeletonConv1d,
     convolve_dense,
     module_list,
+    reflect,
+    resample,
     skeleton_layers,
 )
+from gesturekit.multires.motion_vector import MultiresRepresentation
 
 
 class Film(nn.Module):
@@ -170,3 +180,148 @@ class MultiresGenerator(nn.Module):
             coarser = level(up, noise, None if conditions is None else conditions[i], convolve)
             made.append(coarser)
         return made
+
+
+class LevelDiscriminator(nn.Module):
+    """Patch discriminator D_i of one level; it has no speech input.
+
+    With styles, each style adds a learnt projection of the last features to the score (projection
+    discriminator, Miyato and Koyama 2018).
+    """
+
+    def __init__(
+        self, representation: MultiresRepresentation, config: NetworkConfig, n_styles: int = 0
+    ) -> None:
+        super().__init__()
+        self.layers = skeleton_layers(representation, config, output=False)
+        width = self.layers[-1].shape[0]
+        self.score = nn.Conv1d(width, 1, config.kernel)
+        if n_styles:
+            self.styled = nn.Conv1d(width, n_styles, config.kernel, bias=False)
+
+    def score_weights(self, n_frames: int, style: Tensor | None = None) -> Tensor:
+        """Return the weight of each feature in the mean score, (1 or B, C, T).
+
+        The mean over time of the last, reflect-padded convolution is linear in its input, so that
+        it is a weighted sum and no convolution.
+
+        Args:
+            n_frames: T.
+            style: (B, K) one-hot, or None.
+        """
+        kernels = self.score.weight
+        if style is not None:
+            kernels = kernels + torch.einsum("bk,kct->bct", style, self.styled.weight)
+        return kernels @ tap_frequencies(n_frames, kernels.shape[-1]).to(kernels)
+
+    def forward(
+        self, x: Tensor, style: Tensor | None = None, convolve: Convolve = convolve_dense
+    ) -> Tensor:
+        """Return the mean score of all patches of each motion, (B,). There is one patch around each
+        frame.
+
+        Args:
+            x: (B, D, T).
+            style: (B, K) one-hot; zeros for a motion without a style.
+            convolve: implementation of the convolutions.
+        """
+        assert self.score.bias is not None
+        x = convolve(self.layers, x, SLOPE, SLOPE)
+        # Scores are means over time with small differences: too fine for half precision.
+        with torch.autocast(x.device.type, enabled=False):
+            x = x.to(self.score.weight.dtype)
+            return (x * self.score_weights(x.shape[-1], style)).sum(dim=(1, 2)) + self.score.bias
+
+
+@lru_cache(maxsize=64)
+def tap_frequencies(n_frames: int, kernel: int) -> Tensor:
+    """Return how often each frame is multiplied by each kernel tap, divided by T: (kernel, T).
+
+    It is the average over time of a reflect-padded convolution, without its weights.
+    """
+    windows = reflect(torch.eye(n_frames), kernel // 2).unfold(-1, kernel, 1)
+    return windows.sum(dim=1).T.contiguous() / n_frames
+
+
+T = TypeVar("T")
+
+
+class TorchBackend:
+    """Dense convolutions and autograd: the definition of what every backend computes.
+
+    Args:
+        reason: why this backend was chosen, for the log.
+    """
+
+    name = "torch"
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+
+    def convolve(
+        self, layers: Sequence[SkeletonConv1d], x: Tensor, slope: float, last_slope: float
+    ) -> Tensor:
+        """Return the output of a chain of convolutions; see `convolve_dense`."""
+        return convolve_dense(layers, x, slope, last_slope)
+
+    def discriminator_gradients(
+        self,
+        discriminators: Sequence[LevelDiscriminator],
+        reals: Sequence[Tensor],
+        fakes: Sequence[Tensor],
+        mixes: Sequence[Tensor],
+        config: LossConfig,
+        styles: Sequence[Tensor | None],
+    ) -> Tensor:
+        """Set the parameters' `grad` to the gradients of the discriminator loss (eqs. 12 and 13).
+
+        Args:
+            discriminators: one per level; all following arguments have one entry per discriminator.
+            reals: (B, D, T_i).
+            fakes: (B, D, T_i).
+            mixes: (B, 1, 1) uniform in [0, 1], interpolation weights of the gradient penalty.
+            config: weights of the losses.
+            styles: (B, K) one-hot, of each recording and of the fake with the same index; None for
+                a discriminator without styles.
+
+        Returns:
+            (levels,) values of eq. 12, without weights.
+        """
+        return torch.stack(
+            [
+                self._level_gradients(*level, config)
+                for level in zip(discriminators, reals, fakes, mixes, styles, strict=True)
+            ]
+        )
+
+    def _level_gradients(
+        self,
+        discriminator: LevelDiscriminator,
+        real: Tensor,
+        fake: Tensor,
+        mix: Tensor,
+        style: Tensor | None,
+        config: LossConfig,
+    ) -> Tensor:
+        def score(motions: Tensor) -> Tensor:
+            repeats = len(motions) // len(real)
+            repeated = None if style is None else torch.cat([style] * repeats)
+            return discriminator(motions, repeated, self.convolve)
+
+        gap = losses.discriminator_gap(*score(torch.cat([fake, real])).split(len(real)))
+        penalty = losses.gradient_penalty(score, real, fake, mix, config.penalty_on)
+        loss = config.discriminator_scale * gap + config.gradient_penalty * penalty
+        parameters = list(discriminator.parameters())
+        for parameter, gradient in zip(
+            parameters, torch.autograd.grad(loss, parameters), strict=True
+        ):
+            parameter.grad = gradient
+        return gap.detach()
+
+    def run_tasks(self, *tasks: Callable[[], T]) -> list[T]:
+        """Run independent tasks and return their results."""
+        return [task() for task in tasks]
+
+    def threads(self) -> AbstractContextManager[None]:
+        """Return a context that shares the CPU threads between torch and this backend."""
+        return nullcontext()
