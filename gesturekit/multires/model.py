@@ -39,7 +39,7 @@ from gesturekit.multires.sampling.trained_model import (
     TrainedSequence,
     generated,
 )
-from gesturekit.multires.streaming.stream import MultiresStream
+from gesturekit.multires.stream import MultiresStream
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.files import load_state, state_tensors, state_values
 from gesturekit.state.live import live_rows
@@ -103,7 +103,7 @@ class MultiresModel(TrainedModel):
         seed, item = checked_seed(seed), checked_item(item)
         rate = self._rate(asked)
         check_controls(self, asked, samples)
-        request = Request.build(self, asked, as_speech(speech, sample_rate), seconds)
+        request = Request(self, asked, as_speech(speech, sample_rate), seconds)
         sampler = Sampler(self, request)
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.
@@ -167,15 +167,14 @@ class MultiresModel(TrainedModel):
     def _rate(self, controls: MultiresControls) -> float | None:
         """Return the frames per second of the result; None for the rate of a coarse level."""
         coarse = controls["levels"] not in (None, self.network_config.levels)
-        if controls["fps"] is None:
-            own = self.recorded_fps if controls["keyframes"] is None else self.fps
-            return None if coarse else own
-        if coarse:
+        asked = controls["fps"]
+        if coarse and asked is not None:
             raise ModelError(
-                f"fps={controls['fps']:g}: with levels={controls['levels']} a motion has that "
-                "level's rate"
+                f"fps={asked:g}: with levels={controls['levels']} a motion has that level's rate"
             )
-        return controls["fps"]
+        if coarse or asked is not None:
+            return asked
+        return self.recorded_fps if controls["keyframes"] is None else self.fps
 
     def reconstruct(
         self, name: str, speech: Speech | None = None, sample_rate: int | None = None

@@ -172,9 +172,9 @@ class MultiresRepresentation(ModelJoints):
         rotations = self.fixed_pose(n_frames)
         index = self.indices
         for start in range(0, n_frames, _FRAMES_AT_ONCE):
-            part = values[start : start + _FRAMES_AT_ONCE, self.layout.rotations]
-            modelled = quaternion_from_sixd(part.reshape(len(part), len(index), 6))
-            rotations[start : start + len(part), index] = modelled
+            sixd = values[start : start + _FRAMES_AT_ONCE, self.layout.rotations]
+            modelled = quaternion_from_sixd(sixd.reshape(len(sixd), len(index), 6))
+            rotations[start : start + len(sixd), index] = modelled
         dx, height, dz = values[:, self.layout.root].T
         position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1)
         size = self.scale * self.size_of(skeleton)
@@ -206,10 +206,10 @@ class Normaliser:
         start = 0
         n_joints = len(representation.joints)
         for block, size in enumerate(representation.block_sizes[:-1]):
-            part = slice(start, start + size)
-            spread = np.sqrt((scale[part] ** 2).mean())
+            columns = slice(start, start + size)
+            spread = np.sqrt((scale[columns] ** 2).mean())
             floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
-            scale[part] = max(spread, floor)
+            scale[columns] = max(spread, floor)
             start += size
         root = representation.layout.root
         dx, height, dz = scale[root]

@@ -83,7 +83,8 @@ def modulated_blocks(representation: MultiresRepresentation, config: NetworkConf
 class LevelGenerator(nn.Module):
     """Generator of one level: adds detail to the coarser motion, eqs. 6, 7 and 10.
 
-    G_i(x, z, y) = g_i(FiLM(up(x) + z, y)) + up(x), with g_i a chain of skeleton convolutions.
+    G_i(x, z, s) = g_i(FiLM(up(x) + z, y)) + up(x), with y = S_i(s) the embedding of the condition
+    and g_i a chain of skeleton convolutions. With `film: all` each of them is modulated.
     """
 
     def __init__(
@@ -91,16 +92,15 @@ class LevelGenerator(nn.Module):
     ) -> None:
         super().__init__()
         self.layers = skeleton_layers(representation, config, output=True)
-        if not n_condition:
-            self.films: Sequence[Film] = module_list([])
-            return
-        blocks = modulated_blocks(representation, config)
-        self.embed = nn.Conv1d(n_condition, config.embedding, 1)
         self.rectify_embedding = config.rectify_embedding
-        modulated = self.layers[:1] if config.film == "input" else self.layers
-        self.films = module_list(
-            Film(config.embedding, np.repeat(blocks, layer.sizes[0])) for layer in modulated
-        )
+        self.embed, self.films = None, module_list(list[Film]())
+        if n_condition:
+            self.embed = nn.Conv1d(n_condition, config.embedding, 1)
+            blocks = modulated_blocks(representation, config)
+            modulated = self.layers[:1] if config.film == "input" else self.layers
+            self.films = module_list(
+                Film(config.embedding, np.repeat(blocks, layer.sizes[0])) for layer in modulated
+            )
 
     def forward(
         self,
@@ -114,23 +114,19 @@ class LevelGenerator(nn.Module):
         Args:
             up: (B, D, T) the coarser level's motion, upsampled; zeros at the first level.
             noise: (B, 1, T), shared by all channels.
-            condition: (B, S, T) speech features and style of this level; None skips the FiLM.
+            condition: (B, S, T) speech features and style of this level; not used by a level
+                without conditions.
             convolve: implementation of the convolutions.
         """
-        y = None
-        if condition is not None and self.films:
+        x, y = up + noise, None
+        if self.embed is not None and condition is not None:
             y = self.embed(condition)
-            if self.rectify_embedding:
-                y = F.leaky_relu(y, SLOPE)
-        x = up + noise
-        modulated = 0 if y is None else len(self.films)
-        if modulated <= 1:
-            x = self.films[0](x, y) if modulated else x
-            return convolve(self.layers, x, SLOPE, 1.0) + up
-        for i, layer in enumerate(self.layers):
-            if i:
-                x = F.leaky_relu(x, SLOPE)
-            x = convolve([layer], self.films[i](x, y), 1.0, 1.0)
+            y = F.leaky_relu(y, SLOPE) if self.rectify_embedding else y
+        # Layers between one modulation and the next.
+        chains = [[layer] for layer in self.layers] if len(self.films) > 1 else [self.layers]
+        for i, chain in enumerate(chains):
+            x = x if y is None else self.films[i](x, y)
+            x = convolve(chain, x, SLOPE, 1.0 if i == len(chains) - 1 else SLOPE)
         return x + up
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -80,12 +80,12 @@ class PassiveChannels:
         index = [motion.skeleton.index(name) for name in self.joints]
         face = np.empty((motion.n_frames, self.expressions))
         for start in range(0, motion.n_frames, _FRAMES_AT_ONCE):
-            part = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
-            rows = values(part).T.double().numpy()
+            frames = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
+            rows = values(frames).T.double().numpy()
             if index:
                 sixd = rows[:, : 6 * len(index)].reshape(len(rows), len(index), 6)
-                rotations[part, index] = quaternion_from_sixd(sixd)
-            face[part] = rows[:, 6 * len(index) :]
+                rotations[frames, index] = quaternion_from_sixd(sixd)
+            face[frames] = rows[:, 6 * len(index) :]
         expressions = face if self.expressions else motion.expressions
         return replace(motion, rotations=rotations, expressions=expressions)
 
@@ -170,7 +170,7 @@ class RecordedLibrary:
     @cached_property
     def piece(self) -> int:
         """Frames of a piece."""
-        longest = max(own.state.shape[1] for own in self.recordings)
+        longest = max(each.state.shape[1] for each in self.recordings)
         return max(1, min(round(self._choice.seconds * self.fps), longest))
 
     @cached_property
@@ -186,12 +186,12 @@ class RecordedLibrary:
     @cached_property
     def played(self) -> np.ndarray:
         """(N, D + X) float32: all recordings, one after another."""
-        return np.concatenate([own.channels for own in self.recordings])
+        return np.concatenate([each.channels for each in self.recordings])
 
     @cached_property
     def starts(self) -> np.ndarray:
         """(S,) the frames at which a piece can begin, numbered across all recordings."""
-        first = np.cumsum([0, *(own.state.shape[1] for own in self.recordings)])
+        first = np.cumsum([0, *(each.state.shape[1] for each in self.recordings)])
         pairs = zip(first, self._usable, strict=False)
         return np.concatenate([a + np.arange(n) for a, n in pairs])
 
@@ -203,12 +203,12 @@ class RecordedLibrary:
     @property
     def _usable(self) -> list[int]:
         """Number of the frames of each recording at which a piece can begin."""
-        return [max(0, own.state.shape[1] - self.piece + 1) for own in self.recordings]
+        return [max(0, each.state.shape[1] - self.piece + 1) for each in self.recordings]
 
     @cached_property
     def _pooled(self) -> np.ndarray:
         """(C + 1, N): the states of all recordings, one after another."""
-        return np.concatenate([own.state.numpy() for own in self.recordings], axis=1)
+        return np.concatenate([each.state.numpy() for each in self.recordings], axis=1)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -261,13 +261,28 @@ class RecordedLibrary:
         allowed = np.ones(len(self.starts), bool)
         for name, wanted in (("style", style), ("speaker", speaker)):
             if wanted is not None:
-                own = np.array([getattr(one, name) == wanted for one in self.recordings])
-                narrower = allowed & own[self.recording_of]
+                fits = np.array([getattr(each, name) == wanted for each in self.recordings])
+                narrower = allowed & fits[self.recording_of]
                 allowed = narrower if narrower.any() else allowed
         return allowed
 
 
-class PieceSequence:
+class Resumable:
+    """Part of a stream that can go on from where another one was."""
+
+    kept: ClassVar[tuple[str, ...]]
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs."""
+        return {name: getattr(self, name) for name in self.kept}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the `state` of one with the same arguments."""
+        for name in self.kept:
+            setattr(self, name, state[name])
+
+
+class PieceSequence(Resumable):
     """Pieces of a motion, chosen one after another.
 
     Args:
@@ -276,6 +291,8 @@ class PieceSequence:
         speaker: use only this speaker's recordings, if there are any; None for all.
         style: number of the style of each frame, by its number; None for any.
     """
+
+    kept = ("_chosen", "_used")
 
     def __init__(
         self,
@@ -290,15 +307,6 @@ class PieceSequence:
         self._first = int(torch.randint(library.hop, (), generator=rng_of(-1)))
         self._chosen: list[int] = []
         self._used = np.zeros(len(library.starts), np.float32)
-
-    def state(self) -> dict[str, Any]:
-        """Return what `restore` needs."""
-        return {name: getattr(self, name) for name in _KEPT}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from the `state` of a sequence with the same arguments."""
-        for name in _KEPT:
-            setattr(self, name, state[name])
 
     @property
     def next_frame(self) -> int:
@@ -340,9 +348,6 @@ class PieceSequence:
         return share * shown + (1 - share) * library.played[before]
 
 
-_KEPT = ("_chosen", "_used")
-
-
 def played_pieces(
     library: RecordedLibrary,
     state: np.ndarray,
@@ -374,7 +379,7 @@ _CURVES = ("state", "motion", "passive")
 def library_values(library: RecordedLibrary) -> dict[str, Any]:
     """Return the plain values of a library."""
     return {
-        "recordings": [[part.speaker, part.style] for part in library.recordings],
+        "recordings": [[each.speaker, each.style] for each in library.recordings],
         "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
     }
 
@@ -385,7 +390,7 @@ def library_row(library: RecordedLibrary) -> str:
     what = [counted(len(passive.joints), "joint")] if passive.joints else []
     what += [counted(passive.expressions, "face coefficient")] if passive.expressions else []
     size = sum(tensor.numel() for tensor in library_tensors(library).values()) * 4 / 1e6
-    seconds = sum(own.state.shape[1] for own in library.recordings) / library.fps
+    seconds = len(library.played) / library.fps
     played = "the whole body" if library.is_whole else " and ".join(what)
     return f"{played} from {roughly(seconds)} of recordings, {size:.1f} MB of model.safetensors"
 
@@ -436,10 +441,10 @@ def load_library(
     for i, recording in enumerate(recordings):
         n_frames = recording.state.shape[-1]
         for name, size in sizes.items():
-            found = getattr(recording, name)
-            if tuple(found.shape) != (size, n_frames) or not n_frames:
-                shape = tuple(found.shape)
+            curves = getattr(recording, name)
+            if tuple(curves.shape) != (size, n_frames) or not n_frames:
+                shape = tuple(curves.shape)
                 raise ValueError(f"recorded.{i}.{name} has the shape {shape}, not {size} rows")
-            if not torch.isfinite(found).all():
+            if not torch.isfinite(curves).all():
                 raise ValueError(f"recorded.{i}.{name} has numbers that are not finite")
     return library

@@ -113,7 +113,7 @@ def state_tensors(process: StateProcess) -> dict[str, Tensor]:
     quantiles = np.stack(list(process.quantiles.values()))
     arrays = {name: getattr(process, name) for name in _SHAPES} | {"quantiles": quantiles}
     tensors = {
-        f"state.{name}": torch.from_numpy(np.array(own, float)) for name, own in arrays.items()
+        f"state.{name}": torch.from_numpy(np.array(array, float)) for name, array in arrays.items()
     }
     tensors |= ahead_tensors(process.ahead, "state")
     return tensors | ({} if process.wanted is None else process.wanted.tensors("state"))
@@ -155,8 +155,7 @@ def load_state(
         fps=fps,
         wanted=wanted,
         take=float(np.clip(values["take"], *_TAKE)),
-        **{name: own for name, own in arrays.items() if name != "quantiles"},
-        quantiles=dict(zip(groups, arrays["quantiles"], strict=True)),
+        **(arrays | {"quantiles": dict(zip(groups, arrays["quantiles"], strict=True))}),
         ahead=load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps),
     )
     try:
@@ -178,9 +177,9 @@ def _check(
     n, n_fast = len(channels.names), int(channels.fast.sum())
     sizes = {"S": speech_size, "C": n, "F": n_fast, "C - F": n - n_fast, "G": groups}
     sizes |= {"2": 2, "3": 3}
-    own = {"R": "kernel", "Q": "quantiles", "P": "response"}
-    sizes |= {size: arrays[name].shape[-1] for size, name in own.items()}
-    lengths = [sizes[size] for size in own]
+    free = {"R": "kernel", "Q": "quantiles", "P": "response"}
+    sizes |= {size: arrays[name].shape[-1] for size, name in free.items()}
+    lengths = [sizes[size] for size in free]
     if not (sizes["R"] % 2 and max(lengths) <= _MOST_POINTS and min(lengths[1:]) > 1):
         raise ValueError("state: filters, quantiles or responses of a wrong length")
     for name, axes in _SHAPES.items():

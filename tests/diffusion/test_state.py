@@ -16,7 +16,7 @@ from gesturekit.corpus import Manifest
 from gesturekit.diffusion import Batches, StateDistance, load_training_data, train
 from gesturekit.diffusion.state import measured
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.state import StateProcess
+from gesturekit.state.process import StateProcess
 from gesturekit.training import rng_for
 
 FILE = "model.safetensors"

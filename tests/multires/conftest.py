@@ -9,13 +9,13 @@ from speakers import SETTINGS, write_speakers
 import gesturekit as gk
 from gesturekit.corpus import Item, Manifest
 from gesturekit.multires import (
-    Batches,
     MultiresConfig,
     MultiresGenerator,
     TrainingData,
     load_training_data,
     train,
 )
+from gesturekit.multires.training.windows import Batches
 
 
 @pytest.fixture

@@ -15,12 +15,11 @@ from gesturekit.motion.heading import heading
 from gesturekit.multires import (
     MultiresRepresentation,
     Normaliser,
-    PairedSequence,
     TrainingData,
-    level_sigmas,
     load_training_data,
     train,
 )
+from gesturekit.multires.training.data import PairedSequence, level_sigmas
 
 
 def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):

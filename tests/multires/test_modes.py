@@ -17,13 +17,8 @@ from gesturekit.corpus.styles import style_track
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion import multiply_quaternions
-from gesturekit.multires import (
-    MultiresControls,
-    agreed_style,
-    mixed_styles,
-    requested_styles,
-    train,
-)
+from gesturekit.multires import MultiresControls, train
+from gesturekit.multires.sampling.conditions import agreed_style, mixed_styles, requested_styles
 
 SINGLE = {"features": None, "training": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}

@@ -13,14 +13,10 @@ import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.errors import ModelError
 from gesturekit.motion import Motion, Skeleton, upper_body
-from gesturekit.multires import (
-    MultiresGenerator,
-    MultiresRepresentation,
-    NetworkConfig,
+from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
+from gesturekit.multires.layers import (
     SkeletonConv1d,
     block_neighbours,
-)
-from gesturekit.multires.layers import (
     reflect,
     resample,
     resample_part,

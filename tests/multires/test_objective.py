@@ -6,7 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gesturekit.multires import Stage, Trainer, log_movement, losses, random_windows, resample
+from gesturekit.multires import losses, resample
+from gesturekit.multires.kinematics import log_movement
+from gesturekit.multires.training.trainer import Stage, Trainer
+from gesturekit.multires.training.windows import random_windows
 from gesturekit.training import rng_for, session
 
 

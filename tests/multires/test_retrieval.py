@@ -15,16 +15,15 @@ from speakers import RATE, SETTINGS, assert_played, recording, voice
 import gesturekit as gk
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion import RootPath, quaternion_from_rotation_vector, rotation_angles
-from gesturekit.multires import (
+from gesturekit.multires import load_training_data, train
+from gesturekit.multires.retrieval import (
     PassiveChannels,
     PieceSequence,
     RecordedLibrary,
     RecordedMotion,
-    TrainingState,
-    load_training_data,
     played_pieces,
-    train,
 )
+from gesturekit.multires.training.state import TrainingState
 from gesturekit.training import rng_for
 
 # Pieces of whole bodies: 20 frames, of which 4 are a cross-fade from the one before.

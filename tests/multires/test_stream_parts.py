@@ -13,10 +13,9 @@ import gesturekit as gk
 from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires import MultiresGenerator
 from gesturekit.multires.sampling.trained_model import generated
-from gesturekit.multires.streaming.stream import FootHold
-from gesturekit.multires.streaming.window import (
+from gesturekit.multires.stream import FootHold
+from gesturekit.multires.stream_window import (
     Forecast,
-    LiveChoice,
     LiveState,
     SpeechStream,
     WindowLevels,
@@ -139,9 +138,9 @@ def test_what_is_to_come_is_not_predicted(state_model):
     speech = np.zeros((2 * around, state_model.conditions.conditioner.dim))
 
     def drawn(value: float, share: float) -> np.ndarray:
-        own = LiveState(process, LiveChoice(seed=1), around)
+        own = LiveState(process, around, (1, 2))
         times, known = np.array([0.0, 0.2]), np.array([1.0, share])
-        own.advance(speech, Forecast(times, known * value, 0.4, known), 0.0)
+        own.advance(speech, Forecast(times, known * value, known, 0.0))
         return own.coming[fast]
 
     higher, usual = drawn(9.0, 0.5), drawn(0.0, 0.5)
@@ -154,11 +153,11 @@ def test_what_was_drawn_for_a_frame_stays_though_more_becomes_known(state_model)
     """A prediction changes the movement to come."""
     fast, around = state_model.state_process.channels.fast, 40
     process = replace(state_model.state_process, explained=np.where(fast, 0.6, 0.0))
-    own, windows, coming = LiveState(process, LiveChoice(seed=1), around), [], []
+    own, windows, coming = LiveState(process, around, (1, 2)), [], []
     for k in range(4):
-        forecast = Forecast(np.array([0.0, 0.2]), np.full(2, float(k % 2)), 0.4, np.ones(2))
+        forecast = Forecast(np.array([0.0, 0.2]), np.full(2, float(k % 2)), np.ones(2), 0.0)
         speech = np.zeros((2 * around, state_model.conditions.conditioner.dim))
-        windows.append(own.advance(speech, forecast, 0.0)[: len(fast)][fast])
+        windows.append(own.advance(speech, forecast)[: len(fast)][fast])
         coming.append(own.coming[fast].copy())
     for before, after in zip(windows, windows[1:], strict=False):
         np.testing.assert_allclose(after[:, :around], before[:, 1 : around + 1])

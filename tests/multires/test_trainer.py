@@ -15,7 +15,8 @@ import gesturekit as gk
 from audio_features import WeightsError
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.multires import LossConfig, Trainer, load_training_data, train
+from gesturekit.multires import LossConfig, load_training_data, train
+from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training import Checkpoints, dump_yaml, session, to_dict
 
 RANDOM = {"discriminator", "adversarial", "contact", "smoothness", "arm_speed"}

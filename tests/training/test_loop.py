@@ -11,7 +11,7 @@ from small_runs import small_diffusion
 
 from gesturekit.errors import ModelError
 from gesturekit.training import Processes, Run, to_dict
-from gesturekit.training.run.loop import Loop, StageCallbacks
+from gesturekit.training.run.loop import Loop
 
 PLAN = [(5, 1.0), (4, 2.0)]
 EVERY = {"log_every": 3, "checkpoint_every": 4, "eval_every": 4}
@@ -33,21 +33,27 @@ def training(tmp_path) -> Callable[..., SimpleNamespace]:
             loss = float("nan") if step == changes_at["loss"] else float(step)
             return {"odd": 6.0, "loss": loss} if step % 2 else {"loss": loss}
 
-        def stage(index: int) -> StageCallbacks:
-            did.stages.append(index)
-            return StageCallbacks(
-                train=train,
-                weights=lambda: [weight],
-                state=lambda: did.saved.append(did.steps[-1]) or {"step": did.steps[-1]},
-                evaluate=did.evaluated.append,
-                measure=did.measured.append,
-                also=lambda step: {"learning_rate": step / 10},
-                labels={"level": 2 * index + 1},
-                name=f"stage {index + 1}: ",
-            )
+        def go() -> None:
+            held_out = SimpleNamespace(is_due=lambda: did.steps[-1] in due)
+            loop, end = Loop(config, run, Processes(rank=rank), held_out), 0
+            with loop.progress(PLAN, done):
+                for index, (count, cost) in enumerate(PLAN):
+                    begin, end = max(done, end), end + count
+                    if begin < end:
+                        did.stages.append(index)
+                        steps, level = range(begin + 1, end + 1), 2 * index + 1
+                        for step in loop.begin(steps, cost, f"stage {index}: ", level=level):
+                            follow(loop, step)
 
-        held_out = SimpleNamespace(is_due=lambda: did.steps[-1] in due)
-        did.go = lambda: Loop(config, run, Processes(rank=rank), held_out).train(PLAN, done, stage)
+        def follow(loop: Loop, step: int) -> None:
+            now = loop.count(step, train(step), learning_rate=step / 10)
+            did.evaluated += [step] * now.evaluation
+            did.measured += [step] * now.measurement
+            if now.checkpoint:
+                loop.save(step, [weight], {"step": step})
+                did.saved.append(step)
+
+        did.go = go
         return did
 
     changes_at = {"loss": 99, "weight": 99}
@@ -87,7 +93,7 @@ def test_only_the_first_process_writes(training):
     did = training(rank=1)
     did.go()
     assert did.steps == list(range(1, 10))
-    assert not did.run.folder.exists() and not did.evaluated + did.measured + did.saved
+    assert not did.run.folder.exists() and not did.evaluated + did.measured
 
 
 def test_without_evaluations_it_measures_when_it_is_time(training):

@@ -42,7 +42,7 @@ from gesturekit.training.data.start_model import widened
 from gesturekit.training.run.device import prepare_device
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
-from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
+from gesturekit.training.run.loop import Loop, last_losses, read_once
 from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import session
@@ -260,16 +260,18 @@ class Trainer:
         done, state = self.loop.resume()
         if state is not None:
             self._load_state(state)
-        training = self.config.training
-        stage = StageCallbacks(
-            train=lambda step: {"loss": self._update(step - 1)},
-            weights=self.network.parameters,
-            state=self._state,
-            evaluate=self._evaluate,
-            measure=self._measure,
-            also=lambda step: {"learning_rate": learning_rate(training, step - 1)},
-        )
-        self.loop.train([(self.config.updates, 1.0)], done, lambda index: stage)
+        training, updates = self.config.training, self.config.updates
+        with self.loop.progress([(updates, 1.0)], done):
+            for step in self.loop.begin(range(done + 1, updates + 1)):
+                rate = learning_rate(training, step - 1)
+                loss = self._update(step - 1)
+                due = self.loop.count(step, {"loss": loss}, learning_rate=rate)
+                if due.evaluation:
+                    self._evaluate(step)
+                if due.measurement:
+                    self._measure(step)
+                if due.checkpoint:
+                    self.loop.save(step, self.network.parameters(), self._state())
         if self.processes.is_first:
             self._finish()
         self.processes.wait()

@@ -305,10 +305,10 @@ class NumbaBackend(TorchBackend):
         )
         scored, penalised = results[: len(parts)], results[len(parts) :]
 
-        def own(step: DiscriminatorStep, made: list) -> list:
-            return [one for (other, _), one in zip(parts, made, strict=True) if other is step]
+        def of(step: DiscriminatorStep, made: list[Gradients]) -> list[Gradients]:
+            return [each for (other, _), each in zip(parts, made, strict=True) if other is step]
 
-        return torch.stack([step.finish(own(step, scored), own(step, penalised)) for step in steps])
+        return torch.stack([step.finish(of(step, scored), of(step, penalised)) for step in steps])
 
     def run_tasks(self, *tasks: Callable[[], T]) -> list[T]:
         """Run independent tasks in parallel and return their results."""
@@ -372,15 +372,15 @@ class _SparseChain(torch.autograd.Function):
         gradient = packing.pack(gradient, reflect=False)
         if slopes[-1] != 1:
             gradient[signals[-1] <= 0] *= slopes[-1]
-        found: list[Tensor | None] = []
+        made: list[Tensor | None] = []
         for i in reversed(range(len(layers))):
             layer, (by_weight, by_bias) = layers[i], wanted[1 + 2 * i : 3 + 2 * i]
             conv, by = sparse_conv(layer), None
             if by_weight:
                 by = conv.weight_gradient(signals[i], gradient, packing)
                 by = cropped_gradient(by, layer.shape[-1])
-            found = [by, torch.from_numpy(gradient.sum(axis=1)) if by_bias else None, *found]
+            made = [by, torch.from_numpy(gradient.sum(axis=1)) if by_bias else None, *made]
             if any(wanted[: 1 + 2 * i]):
                 rectifier = (signals[i], slopes[i - 1]) if i else (None, 1.0)
                 gradient = conv.input_gradient(padded_weight(layer), gradient, packing, *rectifier)
-        return packing.unpack(gradient) if wanted[0] else None, None, None, None, *found
+        return packing.unpack(gradient) if wanted[0] else None, None, None, None, *made

@@ -88,7 +88,7 @@ class Sampler:
         else:
             output = self._retrieved(played) if model.retrieves else pyramid.random()
             values = self._cropped(output)
-            motion = self._finished(self._decoded(values), values)
+            motion = self._locked(self._smoothed(self._decoded(values)), values)
         if not request.is_coarse:
             motion = self._with_passive(motion, played)
         return motion if request.clips is None else request.clips.restored(motion)
@@ -179,9 +179,9 @@ class Sampler:
             return motion
         n_motion, margin = len(library.recordings[0].motion), self.request.margin
 
-        def values(part: slice) -> Tensor:
-            frames = np.arange(part.start, part.stop) + margin
-            return torch.from_numpy(played.values(frames)[:, n_motion:].T)
+        def values(frames: slice) -> Tensor:
+            shown = np.arange(frames.start, frames.stop) + margin
+            return torch.from_numpy(played.values(shown)[:, n_motion:].T)
 
         return library.passive.applied(motion, values)
 
@@ -191,7 +191,7 @@ class Sampler:
         assert isinstance(constraint, PathConstraint) and path is not None
         values = self._cropped(constraint.placed(pyramid.random(constraint=constraint)))
         motion = moved(self.model.representation, self._decoded(values), path.positions[0])
-        return self._finished(motion, values, keep_path=True)
+        return self._locked(self._smoothed(motion), values, keep_path=True)
 
     def _between_clips(self, pyramid: Pyramid) -> Motion:
         """Generate the motion before, between and after the given clips."""
@@ -199,7 +199,7 @@ class Sampler:
         assert clips is not None
         values = self._cropped(pyramid.random(constraint=self.constraint))
         given = clips.given(self.request.n_frames)
-        return self._finished(clips.placed(values), values, given=given, keep_path=True)
+        return self._locked(self._smoothed(clips.placed(values)), values, given, keep_path=True)
 
     def _from_level(self, pyramid: Pyramid) -> Motion:
         """Generate the levels above keyframes, or above a motion to redo (`like`)."""
@@ -208,13 +208,13 @@ class Sampler:
         coarse, edited = self._start(pyramid, level)
         if controls["like"] is not None:
             values = pyramid.above(level, coarse)
-            return self._finished(self._decoded(values), values)
+            return self._locked(self._smoothed(self._decoded(values)), values)
         representation = self.model.representation
         constraint = KeyframeConstraint(coarse, edited, representation, self.model.normaliser)
         values = pyramid.above(level, coarse, constraint)
         given = constraint.edited_feet(n_frames)
         free = self._smoothed(self._decoded(values))
-        locked = self._locked(free, values, given=given)
+        locked = self._locked(free, values, given)
         frames = np.asarray(edited.any(axis=1))
         if not frames.any():
             return locked
@@ -222,7 +222,7 @@ class Sampler:
         # path through the keyframes: merely moved along, they slide a fifth faster there.
         wanted = level_motion(representation, coarse, self.model.fps, n_frames)
         motion = root_through_keyframes(representation, free, locked, wanted, frames)
-        return self._locked(motion, values, given=given, keep_path=True)
+        return self._locked(motion, values, given, keep_path=True)
 
     def _start(self, pyramid: Pyramid, level: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the vectors (T_i, D) that replace a level, and (T_i, D) bool where edited."""
@@ -248,17 +248,6 @@ class Sampler:
             values, self.model.fps, skeleton=self.request.skeleton
         )
 
-    def _finished(
-        self,
-        motion: Motion,
-        values: np.ndarray,
-        *,
-        given: np.ndarray | None = None,
-        keep_path: bool = False,
-    ) -> Motion:
-        """Return the motion smoothed and with locked feet; arguments as for `_locked`."""
-        return self._locked(self._smoothed(motion), values, given=given, keep_path=keep_path)
-
     def _smoothed(self, motion: Motion) -> Motion:
         smooth = self.request.controls["smooth"]
         smooth = self.model.smooth if smooth is None else smooth
@@ -268,8 +257,8 @@ class Sampler:
         self,
         motion: Motion,
         values: np.ndarray,
-        *,
         given: np.ndarray | None = None,
+        *,
         keep_path: bool = False,
     ) -> Motion:
         """Return the motion with locked feet, unless foot locking is off.

@@ -269,7 +269,6 @@ class TrainingData:
     styles: tuple[str, ...]
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
-    unpaired_is_paired: bool
     sources: tuple[TrainedSegment, ...]
     recorded_fps: float
     passive: PassiveChannels
@@ -278,9 +277,19 @@ class TrainingData:
     sampled: tuple[Cut, ...] | None = None
 
     @property
+    def unpaired_is_paired(self) -> bool:
+        """Return True if the corpus has no unpaired speech for a model with speech input."""
+        return self.n_speech > 0 and self.unpaired[0] is self.paired[0].speech
+
+    @property
     def is_stored(self) -> bool:
         """Return True if the recordings are arrays on disk."""
         return isinstance(self.paired[0].motion, StoredFrames)
+
+    @property
+    def seconds(self) -> float:
+        """Return the length of all recordings."""
+        return sum(source.duration for source in self.sources)
 
     @cached_property
     def sample(self) -> tuple[PairedSequence, ...]:
@@ -383,7 +392,6 @@ class TrainingData:
             styles=tuple(about["styles"]),
             normaliser=normaliser,
             speakers=read_speakers(about),
-            unpaired_is_paired=conditioner is not None and not unpaired,
             sources=from_values(about["sources"]),
             recorded_fps=about["recorded_fps"],
             passive=PassiveChannels(tuple(joints), expressions),

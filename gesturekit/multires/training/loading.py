@@ -48,8 +48,10 @@ from gesturekit.training.data.features import (
     fit_conditioner,
     raw_speech,
 )
+from gesturekit.training.data.sources import describe_recordings
 from gesturekit.training.recordings import Recordings, Rig, load_recordings
 from gesturekit.training.run_config import LEGLESS, UNIDENTIFIED
+from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
@@ -98,9 +100,8 @@ def load_training_data(
         corpus = _in_memory(config, recordings, vectors, passives, normaliser, extractor, fitted)
     else:
         rig = recordings.rig(config, parts)
-        makers: list[Maker] = [
-            MotionArrays(rig, representation, passive, config.fps, config.face_forward)
-        ]
+        motion = MotionArrays(rig, representation, passive, config.fps, config.face_forward)
+        makers: list[Maker] = [motion]
         if extractor is not None and config.features is not None:
             makers.append(SpeechArrays(config.features, config.fps, device, extractor))
         del motions, vectors  # the sample is read again, from the arrays
@@ -115,7 +116,6 @@ def load_training_data(
         styles=recordings.styles,
         normaliser=normaliser,
         speakers=recordings.speakers,
-        unpaired_is_paired=corpus.conditioner is not None and not corpus.unpaired,
         sources=recordings.sources(corpus.rates),
         recorded_fps=recordings.recorded_fps,
         passive=passive,
@@ -382,8 +382,11 @@ def adapted(config: MultiresConfig, skeleton: Skeleton, *, quiet: bool) -> Multi
     return replace(config, losses=losses)
 
 
-def warn_of_short_clips(config: MultiresConfig, data: TrainingData) -> None:
-    """Warn about clips that are shorter at level 1 than the patches of the discriminator."""
+def warn_of_speech(config: MultiresConfig, data: TrainingData) -> None:
+    """Warn of a corpus without unpaired speech, and of clips that are shorter at level 1 than the
+    patches of the discriminator."""
+    if data.unpaired_is_paired:
+        log.warning("The corpus has no unpaired speech: random steps take the paired speech.")
     levels, least = config.network.levels, config.network.n_frames_of_patch
     lengths = [clip.shape[-1] for clip in data.unpaired]
     short = [n for n in lengths if af.level_lengths(n, levels)[0] < least]
@@ -395,3 +398,19 @@ def warn_of_short_clips(config: MultiresConfig, data: TrainingData) -> None:
             *(len(short), len(lengths), least, levels),
             math.ceil((least - 0.5) * (4 / 3) ** (levels - 1)) / config.fps,
         )
+
+
+def described(config: MultiresConfig, data: TrainingData) -> tuple[list[str], list[str]]:
+    """Return the kind of a model in words, and descriptions of its training data."""
+    inputs = ["speech"] * bool(data.conditioner) + ["labels"] * bool(data.styles)
+    mode = f"{' and '.join(inputs)} mode" if inputs else "no condition"
+    contents = [describe_recordings(data.sources, data.seconds, config.fps)]
+    if data.conditioner is not None:
+        if not data.unpaired_is_paired:
+            contents.append(f"{roughly(data.spoken[0])} of unpaired speech")
+        contents.append(counted(data.conditioner.dim, "speech feature"))
+    if data.styles:
+        contents.append(counted(len(data.styles), "style"))
+    joints = counted(data.representation.skeleton.n_joints, "joint")
+    contents.append(f"{len(data.representation.joints)} of {joints} modelled")
+    return ["multires", mode, f"{config.network.levels} levels"], contents

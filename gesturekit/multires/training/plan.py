@@ -24,7 +24,7 @@ class Trial(Trainer):
         They change the networks: for a run that is not kept.
         """
         data, config = self.data, self.config
-        whole = self.seconds * config.fps
+        whole = data.seconds * config.fps
         frames = sum(sequence.n_frames for sequence in data.paired)
         # Whole recordings differ in length, and each iteration takes one of them.
         longer = 1.0

@@ -23,7 +23,7 @@ from gesturekit.multires.motion_vector import fastest_second
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.retrieval import RecordedLibrary
 from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
-from gesturekit.multires.streaming.window import SpeechStream
+from gesturekit.multires.stream_window import SpeechStream
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.windows import usage
@@ -107,8 +107,7 @@ def readme_rows(
         unused: labels of the corpus that it does not use.
         rows: further rows.
     """
-    seconds = sum(source.duration for source in data.sources)
-    spoken, files = data.spoken
+    seconds, (spoken, files) = data.seconds, data.spoken
     return {
         "Recordings": describe_recordings(data.sources, seconds, config.fps),
         "Unpaired speech": f"{roughly(spoken)} in {counted(files, 'file')}" if files else "none",

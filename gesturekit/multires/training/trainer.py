@@ -28,7 +28,12 @@ from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
 from gesturekit.multires.retrieval import RecordedLibrary
 from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.loading import adapted, load_training_data, warn_of_short_clips
+from gesturekit.multires.training.loading import (
+    adapted,
+    described,
+    load_training_data,
+    warn_of_speech,
+)
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.result import (
     live_predictions_if_any,
@@ -40,15 +45,14 @@ from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import level_targets
 from gesturekit.multires.training.windows import Batches, Windows
 from gesturekit.state.live import AheadPrediction
-from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
+from gesturekit.training.data.sources import save_sources, unused_labels
 from gesturekit.training.data.start_model import widened
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
-from gesturekit.training.run.loop import Loop, StageCallbacks, last_losses, read_once
+from gesturekit.training.run.loop import Loop, last_losses, read_once
 from gesturekit.training.run.processes import Processes
 from gesturekit.training.run.session import session
 from gesturekit.training.seeds import rng_for, seeded
-from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
@@ -106,18 +110,15 @@ class Trainer:
         skeleton = data.representation.skeleton
         self.config = config = adapted(config, skeleton, quiet=not processes.is_first)
         if processes.is_first:
-            if data.unpaired_is_paired:
-                log.warning(
-                    "The corpus has no unpaired speech: random steps take the paired speech."
-                )
-            warn_of_short_clips(config, data)
-        self.seconds = sum(source.duration for source in data.sources)
+            warn_of_speech(config, data)
         self.held_out = HeldOutMetrics(
             config, run, speech=data.conditioner is not None, styles=data.styles
         )
         self.loop = Loop(config, run, processes, self.held_out)
         self.unused = unused_labels(data.sources, data.styles, state=config.state)
-        self._announce()
+        steps = sum(count for _, count in self.stages())
+        kind, contents = described(config, data)
+        self.loop.announce(kind, steps, contents, self.unused)
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
@@ -144,24 +145,6 @@ class Trainer:
         """Return the recorded motion that the model plays; None without."""
         return None if self.state is None else self.state.library()
 
-    def _announce(self) -> None:
-        """Log the model's inputs, the stages and the training data."""
-        data, config = self.data, self.config
-        given = ["speech"] * bool(data.conditioner) + ["labels"] * bool(data.styles)
-        mode = f"{' and '.join(given)} mode" if given else "no condition"
-        contents = [describe_recordings(data.sources, self.seconds, config.fps)]
-        if data.conditioner is not None:
-            if not data.unpaired_is_paired:
-                contents.append(f"{roughly(data.spoken[0])} of unpaired speech")
-            contents.append(counted(data.conditioner.dim, "speech feature"))
-        if data.styles:
-            contents.append(counted(len(data.styles), "style"))
-        joints = counted(data.representation.skeleton.n_joints, "joint")
-        contents.append(f"{len(data.representation.joints)} of {joints} modelled")
-        kind = ["multires", mode, f"{config.network.levels} levels"]
-        steps = sum(count for _, count in self.stages())
-        self.loop.announce(kind, steps, contents, self.unused)
-
     def stages(self) -> list[tuple[int, int]]:
         """Return (first level, iterations) of each stage."""
         training, levels = self.config.training, self.config.network.levels
@@ -181,35 +164,33 @@ class Trainer:
         if state is not None:
             self.network.load_state_dict(state["generator"])
         stages, levels = self.stages(), self.config.network.levels
-        reported = None
-
-        def begin(index: int) -> StageCallbacks:
-            first, iterations = stages[index]
-            stage = self.stage(first, iterations)
-            nonlocal reported
-            if self.processes.is_first and stage.backend.reason != reported:
-                reported = stage.backend.reason
-                log.info("Backend: %s (%s).", stage.backend.name, reported)
-            if state is not None and state["first"] == first:
-                stage.load_state(state)
-            before = sum(count for _, count in stages[:index])
-            last = stage.indices[-1] + 1
-            return StageCallbacks(
-                train=lambda step: stage.iterate(step - before - 1),
-                weights=stage.weights,
-                state=stage.state,
-                evaluate=lambda step: self.evaluate(step, first, last),
-                measure=lambda step: self.measure(step, last),
-                labels={"level": first + 1},
-                name=f"level {first + 1}-{last}: ",
-            )
-
         # Part of an iteration's cost grows with its number of frames.
-        cost = [20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in stages]
-        counts = [count for _, count in stages]
-        self.loop.train(list(zip(counts, cost, strict=True)), done, begin)
+        costs = [20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in stages]
+        end, reported = 0, None
+        with self.loop.progress([(n, cost) for (_, n), cost in zip(stages, costs)], done):
+            for (first, iterations), cost in zip(stages, costs, strict=True):
+                before, end = end, end + iterations
+                if end <= done:
+                    continue
+                stage = self.stage(first, iterations)
+                if self.processes.is_first and stage.backend.reason != reported:
+                    reported = stage.backend.reason
+                    log.info("Backend: %s (%s).", stage.backend.name, reported)
+                if state is not None and state["first"] == first:
+                    stage.load_state(state)
+                last = stage.indices[-1] + 1
+                steps = range(max(done, before) + 1, end + 1)
+                name = f"level {first + 1}-{last}: "
+                for step in self.loop.begin(steps, cost, name, level=first + 1):
+                    due = self.loop.count(step, stage.iterate(step - before - 1))
+                    if due.evaluation:
+                        self.evaluate(step, first, last)
+                    if due.measurement:
+                        self.measure(step, last)
+                    if due.checkpoint:
+                        self.loop.save(step, stage.weights(), stage.state())
         if self.processes.is_first:
-            self._finish(sum(counts))
+            self._finish(end)
         self.processes.wait()
         return self.folder.folder / "model"
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,14 +21,14 @@ from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
 from gesturekit.multires.backend import choose_backend
-from gesturekit.multires.layers import SLOPE, SkeletonConv1d, resample_part
-from gesturekit.multires.networks import Film, LevelGenerator
+from gesturekit.multires.layers import SLOPE, resample_part
+from gesturekit.multires.networks import Film
+from gesturekit.multires.retrieval import Resumable
 from gesturekit.multires.sampling.conditions import LevelConditions
 from gesturekit.multires.sampling.trained_model import TrainedModel, halo, mixed_carriers
 from gesturekit.state.channels import averaged
 from gesturekit.state.live import AVERAGED_SECONDS, FeatureWindow
-from gesturekit.state.process import StateProcess
-from gesturekit.training.seeds import rng_for
+from gesturekit.state.process import Group, StateProcess
 
 _SMOOTHED_SECONDS = 3.0
 """Sound before a window of features, for the extractors that smooth over seconds."""
@@ -37,7 +36,7 @@ _CENTRE_SECONDS = 60.0
 """Seconds of speech after which it counts 1/e in the centre of a voice."""
 
 
-class SpeechStream:
+class SpeechStream(Resumable):
     """Speech features on motion frames, normalised by what has been said so far.
 
     Row k belongs to motion frame k. It is complete as soon as its frame has ended and the sound
@@ -52,6 +51,8 @@ class SpeechStream:
     Attributes:
         n_rows: complete rows so far.
     """
+
+    kept = ("n_rows", "_total", "_count", "_averages")
 
     def __init__(
         self, conditioner: SpeechConditioner, sample_rate: int, rows: int, every: int = 1
@@ -76,16 +77,12 @@ class SpeechStream:
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs."""
-        return {
-            "sound": self._sound.state(),
-            **{name: getattr(self, name) for name in _SPEECH_STATE},
-        }
+        return super().state() | {"sound": self._sound.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from the `state` of a stream with the same arguments."""
+        super().restore(state)
         self._sound.restore(state["sound"])
-        for name in _SPEECH_STATE:
-            setattr(self, name, state[name])
 
     def push(self, samples: np.ndarray) -> Iterator[FeatureWindow]:
         """Take samples (N,) float32; yield what is known with each row that they complete.
@@ -104,11 +101,12 @@ class SpeechStream:
 
     def _window(self) -> FeatureWindow:
         spectrum, active = self._sound.window(self._seconds)
-        columns = [part.from_spectrum(spectrum) for part in parts_of(self._conditioner.extractor)]
+        parts = parts_of(self._conditioner.extractor)
+        columns = [extractor.from_spectrum(spectrum).values for extractor in parts]
         count = min(self._rows, self.n_rows)
         # Times count from the first row of the window.
         times = spectrum.times - (self.n_rows - count) / self._fps
-        track = FeatureTrack(np.concatenate([part.values for part in columns], axis=1), times, {})
+        track = FeatureTrack(np.concatenate(columns, axis=1), times, {})
         values = track.to_rate(self._fps, count, self._conditioner.align).values
         now = (count - 1) / self._fps
         if active[np.abs(times - now).argmin()]:
@@ -124,54 +122,24 @@ class SpeechStream:
         return FeatureWindow(np.concatenate([before, rows]), self._averages.copy())
 
 
-_SPEECH_STATE = ("n_rows", "_total", "_count", "_averages")
-
-
-@dataclass(frozen=True)
-class LiveChoice:
-    """Inputs of a stream beside the speech.
-
-    Attributes:
-        seed: of the random numbers.
-        item: name of the stream.
-        speaker: whose movement to draw; None for all.
-        style: number of the style; None for any.
-        liveliness: factor on the hand speed that is drawn.
-        mood_seed: seed of the state of movement; None for `seed`.
-    """
-
-    seed: int = 0
-    item: str = ""
-    speaker: str | None = None
-    style: int | None = None
-    liveliness: float = 1.0
-    mood_seed: int | None = None
-
-    @cached_property
-    def noise_seed(self) -> int:
-        """Seed of the noise of the state of movement."""
-        seed = self.seed if self.mood_seed is None else self.mood_seed
-        return rng_for(seed, self.item, "live", "mood").initial_seed() >> 1
-
-
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Predicted fast movement.
+    """Predicted movement.
 
     Attributes:
         seconds: (H,) from now, ascending from 0.
-        values: (H,) log m/s.
-        r: correlation of the first with recorded movement.
+        fast: (H,) fast movement at these times, log m/s.
         shares: (H,) how much is known of what the whole sound tells.
+        slow: slow movement, in standard deviations.
     """
 
     seconds: np.ndarray
-    values: np.ndarray
-    r: float
+    fast: np.ndarray
     shares: np.ndarray
+    slow: float
 
 
-class LiveState:
+class LiveState(Resumable):
     """Drawn state of movement of a window around the current frame.
 
     What was drawn for a frame when it was the current one stays. The frames to come have the same
@@ -179,106 +147,75 @@ class LiveState:
 
     Args:
         process: from which it is drawn.
-        choice: seeds, speaker, style and liveliness.
         around: frames of the window before the current one, and from it on.
+        seeds: of the noise and of the carriers.
+        group: speaker and style whose movement to draw.
+        liveliness: factor on the hand speed that is drawn.
     """
 
-    def __init__(self, process: StateProcess, choice: LiveChoice, around: int) -> None:
-        self._process, self._choice, self._around = process, choice, around
-        self._seed = rng_for(choice.seed, choice.item, "live", "carriers").initial_seed() >> 1
+    kept = ("_frame", "_noise", "_values", "_clocks")
+
+    def __init__(
+        self,
+        process: StateProcess,
+        around: int,
+        seeds: tuple[int, int],
+        group: Group = (None, None),
+        liveliness: float = 1.0,
+    ) -> None:
+        self._process, self._around = process, around
+        self._noise_seed, self._carriers_seed = seeds
+        self._group, self._liveliness = group, liveliness
         self._frame = -1
         self._noise = np.empty((len(process.mean), 0))
         self._values = np.empty((len(process.mean), 2 * around))
         self._clocks = np.zeros((len(process.channels.of_hands), 2 * around))
 
-    def state(self) -> dict[str, Any]:
-        """Return what `restore` needs."""
-        return {name: getattr(self, name) for name in _LIVE_STATE}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from the `state` of one with the same arguments."""
-        for name in _LIVE_STATE:
-            setattr(self, name, state[name])
-
-    def advance(self, speech: np.ndarray, fast: Forecast | None, slow: float | None) -> np.ndarray:
+    def advance(self, speech: np.ndarray, forecast: Forecast | None) -> np.ndarray:
         """Go on by a motion frame and return the condition (C + H + 4 H, T) of the window.
 
         Args:
             speech: (T, S) features of the window, as far as they are known.
-            fast: fast movement; None without prediction.
-            slow: slow movement, in standard deviations.
+            forecast: of movement; None without prediction.
         """
         self._frame += 1
         process, around, begun = self._process, self._around, self._frame > 0
-        first = self._frame - around
+        last = self._frame + around
         missing = 2 * around - self._noise.shape[1] + begun
-        last = first + 2 * around
-        new = process.noise(self._choice.noise_seed, np.arange(last - missing, last))
+        new = process.noise(self._noise_seed, np.arange(last - missing, last))
         self._noise = np.concatenate([self._noise[:, begun:], new], axis=1)
         # Before the first frame all is drawn as if nothing had been said.
         kept = around if begun else 0
         self._values = np.roll(self._values, -1, axis=1)
-        self._values[:, kept:] = self._drawn(speech, fast, slow)[:, kept:]
+        self._values[:, kept:] = self._drawn(speech, forecast)[:, kept:]
         clocks = np.roll(self._clocks, -1, axis=1)
         steps = process.clocks(self._values)[:, kept:]
         clocks[:, kept:] = np.cumsum(steps, axis=1) + (clocks[:, [kept - 1]] if begun else 0.0)
         self._clocks = clocks
-        return process.condition(self._seed, self._values, clocks)
+        return process.condition(self._carriers_seed, self._values, clocks)
 
     @property
     def coming(self) -> np.ndarray:
         """(C, T / 2) the channels of the current frame, and of those to come."""
         return self._values[:, self._around :]
 
-    def _drawn(self, speech: np.ndarray, fast: Forecast | None, slow: float | None) -> np.ndarray:
+    def _drawn(self, speech: np.ndarray, forecast: Forecast | None) -> np.ndarray:
         """Return the channels (C, T) of the window; arguments as for `advance`."""
         predicted, known = None, np.zeros(2 * self._around)
-        if fast is not None and slow is not None:
+        if forecast is not None:
             seconds = np.maximum(np.arange(-self._around, self._around) / self._process.fps, 0.0)
-            known = np.interp(seconds, fast.seconds, fast.shares, right=0.0)
-            values = np.interp(seconds, fast.seconds, fast.values / np.maximum(fast.shares, 1e-6))
-            predicted = values, np.full(len(known), slow)
+            shares = forecast.shares
+            known = np.interp(seconds, forecast.seconds, shares, right=0.0)
+            fast = np.interp(seconds, forecast.seconds, forecast.fast / np.maximum(shares, 1e-6))
+            predicted = fast, np.full(len(known), forecast.slow)
         return self._process.values(
             self._noise,
             self._process.voices(speech.T),
             predicted,
-            group=(self._choice.speaker, self._choice.style),
-            liveliness=self._choice.liveliness,
+            group=self._group,
+            liveliness=self._liveliness,
             known=known,
         )
-
-
-_LIVE_STATE = ("_frame", "_noise", "_values", "_clocks")
-
-
-class _Level(NamedTuple):
-    """One level, for the frames that the next one depends on.
-
-    Attributes:
-        layers: convolutions.
-        up: (T of the coarser level, T) upsampling; None for the first level.
-        features: (T of the features, T) their resampling.
-        means: (T of the features, T) averages, for the channels of the state of movement.
-        plain: (T of the features, T) interpolation, for its carriers.
-        embedding: (E, S + C + H + 4 H) weights of the speech features and of the state.
-        offset: (E, T) the rest of the embedding: its bias, and a style.
-        rectified: False for a linear embedding.
-        gains: (2 C of the modulated layers, E) weights of gains and shifts.
-        shifts: (2 C of the modulated layers, 1) their biases.
-        kept: frames that are not only context.
-    """
-
-    layers: Sequence[SkeletonConv1d]
-    up: Tensor | None
-    features: Tensor
-    means: Tensor
-    plain: Tensor
-    embedding: Tensor
-    offset: Tensor
-    rectified: bool
-    gains: Tensor
-    shifts: Tensor
-    kept: slice
 
 
 class WindowLevels:
@@ -298,35 +235,14 @@ class WindowLevels:
     def __init__(
         self, model: TrainedModel, lengths: Sequence[int], styles: Sequence[Tensor], part: range
     ) -> None:
-        self._levels = list[_Level]()
         self._backend = choose_backend("auto", *model.network.levels)
-        self._columns = model.conditions.columns
-        state = model.conditions.state
-        self._n_carriers = 0 if state is None else state.n_carriers
-        identity = np.eye(lengths[-1], dtype=np.float32)
-        condition, interpolated = (
-            LevelConditions([identity] * len(lengths), lengths, residual)
-            for residual in (model.conditions.residual, False)
-        )
-        for i in reversed(range(len(lengths))):
-            level = model.network.levels[i]
-            begin = max(0, part.start - halo(level))
-            end = min(lengths[i], part.stop + halo(level))
-            kept = slice(part.start - begin, part.stop - begin)
-            up, part = None, range(begin, end)
-            if i:
-                weights = resample_part(torch.eye(lengths[i - 1]), lengths[i], begin, end)
-                used = np.flatnonzero(weights.any(dim=1).numpy())
-                part = range(int(used[0]), int(used[-1]) + 1)
-                up = weights[part.start : part.stop]
-            style = styles[i][0, :, begin:end] if styles else torch.empty(0, end - begin)
-            matrices = (
-                condition(i, begin, end)[0],
-                torch.from_numpy(averaged(identity, lengths[i], begin, end)),
-                interpolated(i, begin, end)[0],
-            )
-            self._levels.insert(0, _prepared(level, up, matrices, style, kept, len(self._columns)))
+        self._columns, self._n_carriers = model.conditions.columns, model.conditions.n_carriers
         self._sigma = model.noise.sigma.mean(dim=0)[0]
+        self._levels = list[_Level]()
+        for i in reversed(range(len(lengths))):
+            level = _Level(model, i, lengths, styles, part)
+            self._levels.insert(0, level)
+            part = level.coarser
 
     def __call__(self, speech: np.ndarray, state: np.ndarray) -> Tensor:
         """Return the normalised motion vectors (D, len(part)).
@@ -341,11 +257,12 @@ class WindowLevels:
         motion: Tensor | None = None
         with torch.inference_mode(), self._backend.threads():
             for level in self._levels:
-                own = carriers @ level.plain
-                given = torch.cat([features @ level.features, channels @ level.means, own])
-                if level.up is None or motion is None:
-                    noise = self._sigma * mixed_carriers(own[None])[0]
-                    motion = self._added(level, noise.expand(level.layers[0].shape[1], -1), given)
+                clocked = carriers @ level.plain
+                given = torch.cat([features @ level.features, channels @ level.means, clocked])
+                if motion is None:
+                    noise = self._sigma * mixed_carriers(clocked[None])[0]
+                    x = noise.expand(level.layers[0].shape[1], -1)
+                    motion = self._added(level, x, given)
                 else:
                     up = motion @ level.up
                     motion = self._added(level, up, given) + up
@@ -367,30 +284,58 @@ class WindowLevels:
         return x
 
 
-@torch.no_grad()
-def _prepared(
-    level: LevelGenerator,
-    up: Tensor | None,
-    matrices: tuple[Tensor, Tensor, Tensor],
-    style: Tensor,
-    kept: slice,
-    n_features: int,
-) -> _Level:
-    """Return a level for its conditions: `matrices` from `features` on, see `_Level`.
+class _Level:
+    """One level, for the frames that the next one depends on.
 
-    `style` is (K, T), and `n_features` is S.
+    Attributes:
+        layers: convolutions.
+        kept: frames that are not only context.
+        coarser: frames of the coarser level that are needed.
+        up: (T of the coarser level, T) upsampling; empty at the first level.
+        features: (T of the features, T) their resampling.
+        means: (T of the features, T) averages, for the channels of the state of movement.
+        plain: (T of the features, T) interpolation, for its carriers.
+        embedding: (E, S + C + H + 4 H) weights of the speech features and of the state.
+        offset: (E, T) the rest of the embedding: its bias, and a style.
+        rectified: False for a linear embedding.
+        gains: (2 C of the modulated layers, E) weights of gains and shifts.
+        shifts: (2 C of the modulated layers, 1) their biases.
     """
-    assert level.embed.bias is not None
-    weight = level.embed.weight[..., 0]
-    n_state = weight.shape[1] - n_features - len(style)
-    speech, own, state = weight.split([n_features, len(style), n_state], dim=1)
-    offset = level.embed.bias[:, None] + own @ style
-    gains, shifts = zip(*(rows for film in level.films for rows in _padded(film)), strict=True)
-    rows = torch.cat(gains), torch.cat(shifts)[:, None]
-    embedding = torch.cat([speech, state], dim=1)
-    return _Level(
-        level.layers, up, *matrices, embedding, offset, level.rectify_embedding, *rows, kept
-    )
+
+    @torch.no_grad()
+    def __init__(
+        self,
+        model: TrainedModel,
+        number: int,
+        lengths: Sequence[int],
+        styles: Sequence[Tensor],
+        part: range,
+    ) -> None:
+        level, n_frames = model.network.levels[number], lengths[number]
+        begin, end = max(0, part.start - halo(level)), min(n_frames, part.stop + halo(level))
+        self.layers, self.rectified = level.layers, level.rectify_embedding
+        self.kept = slice(part.start - begin, part.stop - begin)
+        self.coarser, self.up = range(begin, end), torch.empty(0)
+        if number:
+            weights = resample_part(torch.eye(lengths[number - 1]), n_frames, begin, end)
+            used = np.flatnonzero(weights.any(dim=1).numpy())
+            self.coarser = range(int(used[0]), int(used[-1]) + 1)
+            self.up = weights[self.coarser.start : self.coarser.stop]
+        identity = np.eye(lengths[-1], dtype=np.float32)
+        self.features, self.plain = (
+            LevelConditions([identity] * len(lengths), lengths, residual)(number, begin, end)[0]
+            for residual in (model.conditions.residual, False)
+        )
+        self.means = torch.from_numpy(averaged(identity, n_frames, begin, end))
+        assert level.embed is not None and level.embed.bias is not None
+        style = styles[number][0, :, begin:end] if styles else torch.empty(0, end - begin)
+        weight, n_features = level.embed.weight[..., 0], len(model.conditions.columns)
+        n_state = weight.shape[1] - n_features - len(style)
+        of_speech, of_style, of_state = weight.split([n_features, len(style), n_state], dim=1)
+        self.embedding = torch.cat([of_speech, of_state], dim=1)
+        self.offset = level.embed.bias[:, None] + of_style @ style
+        gains, shifts = zip(*(rows for film in level.films for rows in _padded(film)), strict=True)
+        self.gains, self.shifts = torch.cat(gains), torch.cat(shifts)[:, None]
 
 
 def _padded(film: Film) -> list[tuple[Tensor, Tensor]]:
