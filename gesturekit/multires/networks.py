@@ -148,6 +148,7 @@ class MultiresGenerator(nn.Module):
         *,
         first: int = 0,
         coarser: Tensor | None = None,
+        recorded: Sequence[Tensor] = (),
         lengths: Sequence[int],
         convolve: Convolve = convolve_dense,
     ) -> list[Tensor]:
@@ -160,10 +161,12 @@ class MultiresGenerator(nn.Module):
             conditions: (B, S, T_i) for each of these levels, or None.
             first: index of the first of these levels.
             coarser: (B, D, T) motion of level `first - 1`; None if `first` is 0.
+            recorded: (B, D, T_i) motion of each of these levels that the next one upsamples in
+                place of the generated one (eq. 15 as printed); empty for the generated ones.
             lengths: frames of each of these levels.
             convolve: implementation of the convolutions.
         """
-        made = []
+        made: list[Tensor] = []
         for i, (noise, n_frames) in enumerate(zip(noises, lengths, strict=True)):
             level = self.levels[first + i]
             if coarser is None:
@@ -173,8 +176,8 @@ class MultiresGenerator(nn.Module):
                 up = resample(coarser.detach(), n_frames)
             if noise is None:
                 noise = up.new_zeros(len(up), 1, n_frames)
-            coarser = level(up, noise, None if conditions is None else conditions[i], convolve)
-            made.append(coarser)
+            made.append(level(up, noise, conditions[i] if conditions else None, convolve))
+            coarser = recorded[i] if recorded else made[-1]
         return made
 
 

@@ -155,7 +155,8 @@ def load_state(
         fps=fps,
         wanted=wanted,
         take=float(np.clip(values["take"], *_TAKE)),
-        **(arrays | {"quantiles": dict(zip(groups, arrays["quantiles"], strict=True))}),
+        quantiles=dict(zip(groups, arrays.pop("quantiles"), strict=True)),
+        **arrays,
         ahead=load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps),
     )
     try:

@@ -372,15 +372,16 @@ class _SparseChain(torch.autograd.Function):
         gradient = packing.pack(gradient, reflect=False)
         if slopes[-1] != 1:
             gradient[signals[-1] <= 0] *= slopes[-1]
-        made: list[Tensor | None] = []
+        by_layers: list[Tensor | None] = []
         for i in reversed(range(len(layers))):
             layer, (by_weight, by_bias) = layers[i], wanted[1 + 2 * i : 3 + 2 * i]
             conv, by = sparse_conv(layer), None
             if by_weight:
                 by = conv.weight_gradient(signals[i], gradient, packing)
                 by = cropped_gradient(by, layer.shape[-1])
-            made = [by, torch.from_numpy(gradient.sum(axis=1)) if by_bias else None, *made]
+            by_layer = [by, torch.from_numpy(gradient.sum(axis=1)) if by_bias else None]
+            by_layers = [*by_layer, *by_layers]
             if any(wanted[: 1 + 2 * i]):
                 rectifier = (signals[i], slopes[i - 1]) if i else (None, 1.0)
                 gradient = conv.input_gradient(padded_weight(layer), gradient, packing, *rectifier)
-        return packing.unpack(gradient) if wanted[0] else None, None, None, None, *made
+        return packing.unpack(gradient) if wanted[0] else None, None, None, None, *by_layers

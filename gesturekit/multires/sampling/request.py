@@ -195,7 +195,7 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
         if level is not None and not 1 <= level <= levels:
             raise ModelError(f"{which}={level}: the model has levels 1 (coarse) to {levels}")
     check_drawn(controls, model.state_process)
-    of_levels = [name for name in _OF_LEVELS if controls[name]]
+    of_levels = [name for name, value in controls.items() if name in _OF_LEVELS and value]
     if model.retrieves and of_levels:
         raise ModelError(f"{of_levels[0]}: this model plays recordings, without a network's levels")
 

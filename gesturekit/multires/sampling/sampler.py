@@ -48,7 +48,18 @@ class Sampler:
     def __init__(self, model: TrainedModel, request: Request) -> None:
         self.model, self.request = model, request
         self.noise = model.noise.random(model.styles)
-        self.constraint = self._constraint()
+        representation, lengths, margin = model.representation, request.lengths, request.margin
+        self.path: PathConstraint | None = None
+        self.between: InbetweenConstraint | None = None
+        if request.path is not None:
+            path = request.path.scaled(1 / representation.size_of(request.skeleton))
+            steps = np.diff(path.positions, axis=0)
+            self._warn_of_speed("the path", fastest_second(steps, model.fps))
+            path = path.scaled(1 / representation.scale)
+            self.path = PathConstraint(path, representation, model.normaliser, lengths, margin)
+        if request.clips is not None:
+            self._warn_of_speed("between the clips the body", request.clips.fastest_gap())
+            self.between = InbetweenConstraint(request.clips, model.normaliser, lengths, margin)
 
     def motion(self, seed: int, item: str, number: int) -> Motion:
         """Generate the sample of an item with this number."""
@@ -92,24 +103,6 @@ class Sampler:
         if not request.is_coarse:
             motion = self._with_passive(motion, played)
         return motion if request.clips is None else request.clips.restored(motion)
-
-    def _constraint(self) -> PathConstraint | InbetweenConstraint | None:
-        """Return the constraint on motions from noise; warn if it needs too high a speed."""
-        request, model = self.request, self.model
-        if request.path is not None:
-            path = request.path.scaled(1 / model.representation.size_of(request.skeleton))
-            steps = np.diff(path.positions, axis=0)
-            self._warn_of_speed("the path", fastest_second(steps, model.fps))
-            path = path.scaled(1 / model.representation.scale)
-            return PathConstraint(
-                path, model.representation, model.normaliser, request.lengths, request.margin
-            )
-        if request.clips is not None:
-            self._warn_of_speed("between the clips the body", request.clips.fastest_gap())
-            return InbetweenConstraint(
-                request.clips, model.normaliser, request.lengths, request.margin
-            )
-        return None
 
     def _warn_of_speed(self, what: str, speed: float) -> None:
         fastest, stroll = self.model.fastest, _STROLL * self.model.representation.scale
@@ -187,9 +180,9 @@ class Sampler:
 
     def _along_path(self, pyramid: Pyramid) -> Motion:
         """Generate a motion whose root follows the path."""
-        constraint, path = self.constraint, self.request.path
-        assert isinstance(constraint, PathConstraint) and path is not None
-        values = self._cropped(constraint.placed(pyramid.random(constraint=constraint)))
+        path = self.request.path
+        assert self.path is not None and path is not None
+        values = self._cropped(self.path.placed(pyramid.random(constraint=self.path)))
         motion = moved(self.model.representation, self._decoded(values), path.positions[0])
         return self._locked(self._smoothed(motion), values, keep_path=True)
 
@@ -197,7 +190,7 @@ class Sampler:
         """Generate the motion before, between and after the given clips."""
         clips = self.request.clips
         assert clips is not None
-        values = self._cropped(pyramid.random(constraint=self.constraint))
+        values = self._cropped(pyramid.random(constraint=self.between))
         given = clips.given(self.request.n_frames)
         return self._locked(self._smoothed(clips.placed(values)), values, given, keep_path=True)
 

@@ -348,57 +348,53 @@ class TrainingData:
             ConfigError: the folder's data is missing or damaged.
             WeightsError: the WavLM weights differ from those at the start of the run.
         """
-        return load_data(folder, lambda about, tensors: cls._of(about, tensors, config, device))
 
-    @classmethod
-    def _of(
-        cls, about: dict[str, Any], tensors: dict[str, Tensor], config: MultiresConfig, device: str
-    ) -> TrainingData:
-        """Return the data of plain values and tensors, see `save`."""
-        skeleton = Skeleton.from_json(about["skeleton"])
-        normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
-        conditioner = None
-        if config.features is not None:
-            places = config.features.encoder_places
-            conditioner = load_conditioner(about["features"], tensors, config.fps, places, device)
-        labels = list(zip(*(about[key] for key in _LABELS), strict=True))
-        if about["stored"] is None:
-            paired = tuple(
-                PairedSequence(
-                    **{part: tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS},
-                    name=name,
-                    style=style,
-                    speaker=speaker,
-                    take=take,
+        def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
+            skeleton = Skeleton.from_json(about["skeleton"])
+            normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
+            conditioner = None
+            if config.features is not None:
+                places = config.features.encoder_places
+                conditioner = load_conditioner(
+                    about["features"], tensors, config.fps, places, device
                 )
-                for i, (name, style, speaker, take) in enumerate(labels)
+            labels = list(zip(*(about[key] for key in _LABELS), strict=True))
+            unpaired: Sequence[Frames]
+            if about["stored"] is None:
+                curves = (
+                    {part: tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS}
+                    for i in range(len(labels))
+                )
+                paired = tuple(
+                    PairedSequence(name=name, style=style, speaker=speaker, take=take, **frames)
+                    for (name, style, speaker, take), frames in zip(labels, curves, strict=True)
+                )
+                unpaired = [tensors[f"unpaired.{i}"] for i in range(about["unpaired"])]
+            else:
+                paired, unpaired = stored_sequences(
+                    config, about["stored"], labels, normaliser, conditioner, tensors["sigma"]
+                )
+            joints, expressions = about["passive"]
+            sampled = about["sampled"]
+            return cls(
+                paired=paired,
+                unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
+                silence=tensors["silence"],
+                window=about["window"],
+                representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
+                conditioner=conditioner,
+                styles=tuple(about["styles"]),
+                normaliser=normaliser,
+                speakers=read_speakers(about),
+                sources=from_values(about["sources"]),
+                recorded_fps=about["recorded_fps"],
+                passive=PassiveChannels(tuple(joints), expressions),
+                start=read_start(tensors),
+                spoken=tuple(about["spoken"]),
+                sampled=None if sampled is None else tuple(map(tuple, sampled)),
             )
-            unpaired: Sequence[Frames] = [
-                tensors[f"unpaired.{i}"] for i in range(about["unpaired"])
-            ]
-        else:
-            paired, unpaired = stored_sequences(
-                config, about["stored"], labels, normaliser, conditioner, tensors["sigma"]
-            )
-        joints, expressions = about["passive"]
-        sampled = about["sampled"]
-        return cls(
-            paired=paired,
-            unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
-            silence=tensors["silence"],
-            window=about["window"],
-            representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
-            conditioner=conditioner,
-            styles=tuple(about["styles"]),
-            normaliser=normaliser,
-            speakers=read_speakers(about),
-            sources=from_values(about["sources"]),
-            recorded_fps=about["recorded_fps"],
-            passive=PassiveChannels(tuple(joints), expressions),
-            start=read_start(tensors),
-            spoken=tuple(about["spoken"]),
-            sampled=None if sampled is None else tuple(map(tuple, sampled)),
-        )
+
+        return load_data(folder, assemble)
 
     @property
     def n_speech(self) -> int:

@@ -289,12 +289,10 @@ class Stage:
         self.backend = choose_backend(config.backend, self.generators, self.discriminators)
         self.batches = Batches(data, config, network, first, self.backend.convolve, state)
         rate, (beta, decay) = config.training.learning_rate, config.training.betas
+        adam = partial(torch.optim.Adam, lr=rate, betas=(beta, decay), fused=True)
         self.optimisers = {
-            name: torch.optim.Adam(networks.parameters(), lr=rate, betas=(beta, decay), fused=True)
-            for name, networks in (
-                ("generator", self.generators),
-                ("discriminator", self.discriminators),
-            )
+            "generator": adam(self.generators.parameters()),
+            "discriminator": adam(self.discriminators.parameters()),
         }
         share = processes.share(self.batches.size)
         self.share, self.weight = share, (share.stop - share.start) / self.batches.size
@@ -425,7 +423,8 @@ class Stage:
     def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
         """Make a generator step on recordings reconstructed from z* and their speech (eq. 15)."""
         windows = self._draw("paired", n_frames, rng)
-        made = self._generate(windows, real=self.config.losses.rec_input == "real")
+        is_real = self.config.losses.rec_input == "real"
+        made = self._generate(windows, windows.targets if is_real else ())
         errors: dict[int, Tensor] = {}
 
         def losses_of(i: int) -> dict[str, Tensor]:
@@ -475,24 +474,18 @@ class Stage:
         half = self.config.precision == "bfloat16"
         return torch.autocast(self.device.type, torch.bfloat16, enabled=half)
 
-    def _generate(self, windows: Windows, *, real: bool = False) -> list[Tensor]:
-        """Return the output (B, D, T_i) of each level; with `real`, of the coarser recording."""
-        lengths = [level.shape[-1] for level in windows.conditions]
-        count = len(lengths)
-        # Levels that are generated in one go, each from the output of the one before.
-        chains = [range(i, i + 1) for i in range(count)] if real else [range(count)]
-        made: list[Tensor] = []
+    def _generate(self, windows: Windows, recorded: Sequence[Tensor] = ()) -> list[Tensor]:
+        """Return the output (B, D, T_i) of each level; see `MultiresGenerator.forward`."""
         with self._precision():
-            for chain in chains:
-                levels = slice(chain.start, chain.stop)
-                made += self.network(
-                    windows.noise[levels],
-                    windows.conditions[levels],
-                    first=self.first + chain.start,
-                    coarser=windows.targets[chain.start - 1] if chain.start else windows.coarser,
-                    lengths=lengths[levels],
-                    convolve=self.backend.convolve,
-                )
+            made = self.network(
+                windows.noise,
+                windows.conditions,
+                first=self.first,
+                coarser=windows.coarser,
+                recorded=recorded,
+                lengths=[level.shape[-1] for level in windows.conditions],
+                convolve=self.backend.convolve,
+            )
         return [level.float() for level in made]
 
     def _within(self, made: Sequence[Tensor], n_frames: int) -> list[Tensor]:
