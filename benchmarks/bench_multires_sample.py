@@ -22,9 +22,9 @@ import audio_features as af
 from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.multires.config import NetworkConfig
+from gesturekit.multires.layers import SLOPE
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.network.skeleton_conv import SLOPE
+from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.sampling.trained_model import TILE, sample
 
 FPS, LEVELS = 30, 7

@@ -12,8 +12,7 @@ import torch.nn.functional as F
 from harness import arguments, compare, report
 
 from gesturekit.multires.backend import choose_backend
-from gesturekit.multires.network.resampling import reflect
-from gesturekit.multires.network.skeleton_conv import SkeletonConv1d
+from gesturekit.multires.layers import SkeletonConv1d, reflect
 
 BLOCKS, WIDTH, KERNEL, MEAN_NEIGHBOURS = 29, 6, 5, 6
 

@@ -43,9 +43,9 @@ SYSTEMS = {
         controls="gesturekit.multires.controls:MultiresControls",
         config="gesturekit.multires.config:MultiresConfig",
         train="gesturekit.multires.training.trainer:train",
-        plan="gesturekit.multires.training.trainer:plan_training",
-        arrays="gesturekit.multires.training.trainer:make_arrays",
-        fit_live="gesturekit.multires.training.ahead:fit_live",
+        plan="gesturekit.multires.training.plan:plan_training",
+        arrays="gesturekit.multires.training.plan:make_arrays",
+        fit_live="gesturekit.multires.training.result:fit_live",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",

@@ -21,7 +21,7 @@ from gesturekit.errors import ModelError
 from gesturekit.model import BaseModel, Inputs
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.channels import StateChannels
-from gesturekit.state.format import load_state, state_tensors, state_values
+from gesturekit.state.files import load_state, state_tensors, state_values
 from gesturekit.state.process import StateProcess
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.model_folder import (

@@ -9,7 +9,7 @@ from torch import nn
 
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.multires.config import BackendName
-from gesturekit.multires.network.torch_backend import TorchBackend
+from gesturekit.multires.networks import TorchBackend
 
 VARIABLE = "GESTUREKIT_BACKEND"
 """Environment variable that overrides the configured backend."""

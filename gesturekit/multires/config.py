@@ -16,6 +16,7 @@ from gesturekit.training.run_config import (
     check_at_most,
     check_not_negative,
     check_positive,
+    check_share,
 )
 
 BackendName = Literal["auto", "torch", "numba"]
@@ -58,8 +59,7 @@ class NetworkConfig:
         check_positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
         check_at_most(64, levels=self.levels, layers=len(self.channels))
         check_at_most(255, kernel=self.kernel)
-        check_at_most(4096, embedding=self.embedding)
-        check_at_most(4096, channels=max(self.channels, default=0))
+        check_at_most(4096, embedding=self.embedding, channels=max(self.channels, default=0))
         check_not_negative(neighbour_distance=self.neighbour_distance)
         if self.kernel % 2 == 0:
             raise ConfigError(f"kernel: {self.kernel} must be odd")
@@ -142,6 +142,12 @@ class LossConfig:
         check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
 
 
+_ABOVE_ZERO = (
+    *("learning_rate", "batch", "renew_every", "first_stage", "further_stages"),
+    *("window", "window_cache"),
+)
+
+
 @dataclass(frozen=True)
 class TrainingConfig:
     """Training stages, steps and batches. A stage trains two levels, the coarsest first."""
@@ -182,23 +188,11 @@ class TrainingConfig:
     """Fraction of windows on random steps whose speech is replaced by silence."""
 
     def __post_init__(self) -> None:
-        check_positive(
-            learning_rate=self.learning_rate,
-            batch=self.batch,
-            renew_every=self.renew_every,
-            first_stage=self.first_stage,
-            further_stages=self.further_stages,
-        )
-        if self.window is not None:
-            check_positive(window=self.window)
-        if self.window_cache is not None:
-            check_positive(window_cache=self.window_cache)
-        steps = {
-            "discriminator_steps": self.discriminator_steps,
-            "generator_steps": self.generator_steps,
-            "reconstruction_steps": self.reconstruction_steps,
-        }
-        check_not_negative(**steps, decay_at=self.decay_at)
+        for name in _ABOVE_ZERO:
+            if (value := getattr(self, name)) is not None:
+                check_positive(**{name: value})
+        names = ("discriminator_steps", "generator_steps", "reconstruction_steps", "decay_at")
+        check_not_negative(**{name: getattr(self, name) for name in names})
         if not self.generator_steps and not self.reconstruction_steps:
             raise ConfigError(
                 "generator_steps and reconstruction_steps are both 0: nothing would be trained"
@@ -236,8 +230,7 @@ class StyleConfig:
     in the paper discriminators are unconditional."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.mixing <= 1:
-            raise ConfigError(f"mixing: {self.mixing} must be between 0 and 1")
+        check_share(mixing=self.mixing)
 
 
 @dataclass(frozen=True, kw_only=True)

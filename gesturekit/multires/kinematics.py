@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import arm_joints
 from gesturekit.motion.torch_kinematics import PointKinematics, foot_kinematics, sixd_to_matrix
+from gesturekit.multires.layers import reflect
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.resampling import reflect
 
 SMOOTHING_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths rotations before arm speed is computed, and the
@@ -18,6 +18,9 @@ speed itself. Fixed: targets and losses must use the same."""
 CAPTURE_SECONDS = 0.03
 """Standard deviation of the Gaussian that removes capture noise from recorded rotations before
 acceleration is computed. Fixed, as it depends on motion capture only."""
+_FLOORS = 1.0, 10.0
+"""Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm, so that slow movement
+counts little."""
 
 
 class VectorKinematics(nn.Module):
@@ -117,10 +120,34 @@ class VectorKinematics(nn.Module):
         bend = bend * (self.fps / stride) ** 2
         return torch.cat([bend[:, :1], bend, bend[:, -1:]], dim=1)
 
+    def arm_movement(self, values: Tensor, stride: float) -> Tensor:
+        """Return `log_movement` (B, 2, T) of generated motion, trembling included."""
+        speed = self.arm_speed(values, stride)
+        return log_movement(speed, self.arm_acceleration(values, stride), stride / self.fps)
+
+    def recorded_arm_movement(self, values: Tensor, stride: float) -> Tensor:
+        """Return `log_movement` (B, 2, T) of recordings, without capture noise."""
+        speed = self.arm_speed(values, stride, smoothing=0.0)
+        acceleration = self.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS)
+        return log_movement(speed, acceleration, stride / self.fps)
+
     def _arms(self, values: Tensor, stride: float, smoothing: float) -> Tensor:
         """Return smoothed rotation matrices (B, 4, 3, 3, T) of shoulders and elbows."""
         rotations = sixd_to_matrix(self._sixd(values)[:, self.arms].permute(0, 3, 1, 2))
         return smooth(rotations.movedim(1, -1), smoothing * self.fps / stride)
+
+
+def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> Tensor:
+    """Return (B, 2, T) smoothed logarithms (sigma 0.1 s) of (B, T) arm movement.
+
+    Args:
+        speed: (B, T), rad/s.
+        acceleration: (B, T), rad/s^2.
+        frame_seconds: time between two frames.
+    """
+    both = torch.stack([speed, acceleration], dim=1)
+    added = both.new_tensor(_FLOORS)[:, None]
+    return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + added)
 
 
 def _size(change: Tensor) -> Tensor:

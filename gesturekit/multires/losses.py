@@ -1,7 +1,8 @@
-"""Losses of the multires system (section 3.4 of Moreno-Villamarin et al. 2024): pure functions.
+"""Losses of the multires system (section 3.4 of Moreno-Villamarin et al. 2024).
 
-Equation numbers are those of the paper. `losses` weights the generators' losses by `LossConfig`;
-each loss has the same name as a function, as a setting and in the log.
+Equation numbers are those of the paper. `random_losses` says which loss acts at which level on
+random steps; reconstruction steps have `reconstruction` alone. Each loss has the same name as a
+function, as a setting and in the log.
 """
 
 from __future__ import annotations
@@ -14,76 +15,72 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gesturekit.multires.config import LossConfig
+from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.layers import resample
 
 
 @dataclass(frozen=True)
-class LossInputs:
-    """Tensors of one level that `losses` compares; a loss whose tensors are None is left out.
+class LevelMotion:
+    """Motion that a level generated on a random step, and what it is compared with.
 
     Attributes:
-        scores: (B,) discriminator scores of the generated motions.
-        foot_velocity: (B, T - 1, F, 3) of the generated foot points, m/s or as
-            `LossConfig.contact_time` says.
-        contact_labels: (B, T - 1, F) as generated, about 0 or 1.
-        bend: (B, K, 3, T - 2) second differences of the generated joint positions, metres.
-        arms: (B, 2, T) log arm speed and acceleration, as generated.
-        arm_target: (B, 2, T) the same, predicted from speech.
-        downsampled: (B, D, T') generated motion, resampled to the frames of the next coarser level.
-        coarser: (B, D, T') motion of the next coarser level.
-        detail: () energy distance between generated and recorded detail, see `DetailTarget`.
-        state: () distance from the state of movement that was given, see `StateTarget`.
-        generated: (B, D, T) normalised motion of a reconstruction step.
-        recorded: (B, D, T) the recording that it should reproduce.
+        values: (B, D, T) motion vectors in their own units, without margins.
+        stride: full-rate frames between two of their frames.
+        score: returns the discriminator's scores (B,).
+        output: (B, D, T') normalised output of the level, with margins.
+        coarser: (B, D, T'') that of the next coarser level; None at the first level.
+        arms: (B, 2, T) log arm speed and acceleration, predicted from speech; None without.
+        detail: returns the distance of the detail in joint positions (B, K, 3, T) from that of
+            recordings, see `DetailTarget`; None without.
+        state: returns the distance of the state that they show from the one that was given, see
+            `StateTarget`; None without.
     """
 
-    scores: Tensor | None = None
-    foot_velocity: Tensor | None = None
-    contact_labels: Tensor | None = None
-    bend: Tensor | None = None
-    arms: Tensor | None = None
-    arm_target: Tensor | None = None
-    downsampled: Tensor | None = None
-    coarser: Tensor | None = None
-    detail: Tensor | None = None
-    state: Tensor | None = None
-    generated: Tensor | None = None
-    recorded: Tensor | None = None
+    values: Tensor
+    stride: float
+    score: Callable[[], Tensor]
+    output: Tensor
+    coarser: Tensor | None
+    arms: Tensor | None
+    detail: Callable[[Tensor], Tensor] | None
+    state: Callable[[Tensor], Tensor] | None
 
 
-def losses(inputs: LossInputs, weights: LossConfig) -> dict[str, Tensor]:
-    """Return the weighted losses of one level by name; the generators minimise their sum (eq. 11).
+def random_losses(
+    level: LevelMotion, kinematics: VectorKinematics, weights: LossConfig
+) -> dict[str, Tensor]:
+    """Return the weighted losses of one level on a random step, by name.
 
-    Args:
-        inputs: generated tensors, and the tensors with which they are compared.
-        weights: one for each loss.
+    The generators minimise their sum (eq. 11).
     """
-    values: dict[str, Tensor] = {}
-    if inputs.scores is not None:
-        values["adversarial"] = adversarial(inputs.scores)
-    if inputs.foot_velocity is not None and inputs.contact_labels is not None:
-        values["contact"] = contact(
-            inputs.foot_velocity,
-            inputs.contact_labels,
-            weights.contact_slope,
-            squared=weights.contact_speed == "squared",
-        )
-    if inputs.bend is not None:
-        values["smoothness"] = smoothness(inputs.bend)
-    if inputs.coarser is not None and inputs.downsampled is not None:
-        values["coarse"] = coarse(inputs.downsampled, inputs.coarser)
-    if inputs.detail is not None:
-        values["detail"] = inputs.detail
-    if inputs.state is not None:
-        values["state"] = inputs.state
-    if inputs.arms is not None and inputs.arm_target is not None:
-        speed, acceleration = movement(inputs.arms, inputs.arm_target)
-        if weights.arm_speed:
-            values["arm_speed"] = speed
-        if weights.arm_acceleration:
-            values["arm_acceleration"] = acceleration
-    if inputs.generated is not None and inputs.recorded is not None:
-        values["reconstruction"] = reconstruction(inputs.generated, inputs.recorded)
-    return {name: getattr(weights, name) * value for name, value in values.items()}
+    values, stride, n_frames = level.values, level.stride, level.values.shape[-1]
+    # One frame, the coarsest level of a very short recording, has no speed.
+    moves = n_frames > 1
+    # Rounding makes strides of two levels straddle 2; half the full rate is meant.
+    is_smooth = weights.smoothness and stride < 2.05 and n_frames > 2
+    terms: dict[str, Tensor] = {}
+    if weights.adversarial:
+        terms["adversarial"] = adversarial(level.score())
+    if weights.contact and moves:  # 0 on a rig without feet
+        velocity = kinematics.foot_velocity(values, stride, weights.contact_time)
+        squared = weights.contact_speed == "squared"
+        labels = kinematics.contact_labels(values)
+        terms["contact"] = contact(velocity, labels, weights.contact_slope, squared)
+    if is_smooth or level.detail or level.state:
+        places = kinematics.places(values)
+        if is_smooth:
+            terms["smoothness"] = smoothness(kinematics.bend(values, places, stride))
+    if weights.coarse and level.coarser is not None:
+        terms["coarse"] = coarse(resample(level.output, level.coarser.shape[-1]), level.coarser)
+    if level.detail:
+        terms["detail"] = level.detail(places)
+    if level.state:
+        terms["state"] = level.state(places)
+    if level.arms is not None and moves:
+        speed, acceleration = movement(kinematics.arm_movement(values, stride), level.arms)
+        terms |= {"arm_speed": speed} if weights.arm_speed else {}
+        terms |= {"arm_acceleration": acceleration} if weights.arm_acceleration else {}
+    return {name: getattr(weights, name) * value for name, value in terms.items()}
 
 
 def adversarial(scores: Tensor) -> Tensor:

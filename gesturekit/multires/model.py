@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
-import numpy as np
+import torch
 from torch import Tensor
 
 import audio_features as af
@@ -21,29 +21,28 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControls
+from gesturekit.multires.layers import n_weights
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.network.skeleton_conv import n_weights
-from gesturekit.multires.retrieval.format import (
+from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.retrieval import (
     library_row,
     library_tensors,
     library_values,
     load_library,
 )
-from gesturekit.multires.sampling.conditions import Conditions, level_track
+from gesturekit.multires.sampling.conditions import Conditions, style_levels
 from gesturekit.multires.sampling.request import Request, check_controls
 from gesturekit.multires.sampling.sampler import Sampler
 from gesturekit.multires.sampling.trained_model import (
-    Pyramid,
     TrainedModel,
     TrainedNoise,
     TrainedSequence,
+    generated,
 )
-from gesturekit.multires.streaming.stream import MultiresStream
-from gesturekit.state.ahead import live_rows
+from gesturekit.multires.stream import MultiresStream
 from gesturekit.state.channels import StateChannels
-from gesturekit.state.format import load_state, state_tensors, state_values
+from gesturekit.state.files import load_state, state_tensors, state_values
+from gesturekit.state.live import live_rows
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.data.features import (
     conditioner_tensors,
@@ -104,7 +103,7 @@ class MultiresModel(TrainedModel):
         seed, item = checked_seed(seed), checked_item(item)
         rate = self._rate(asked)
         check_controls(self, asked, samples)
-        request = Request.build(self, asked, as_speech(speech, sample_rate), seconds)
+        request = Request(self, asked, as_speech(speech, sample_rate), seconds)
         sampler = Sampler(self, request)
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.
@@ -168,15 +167,14 @@ class MultiresModel(TrainedModel):
     def _rate(self, controls: MultiresControls) -> float | None:
         """Return the frames per second of the result; None for the rate of a coarse level."""
         coarse = controls["levels"] not in (None, self.network_config.levels)
-        if controls["fps"] is None:
-            own = self.recorded_fps if controls["keyframes"] is None else self.fps
-            return None if coarse else own
-        if coarse:
+        asked = controls["fps"]
+        if coarse and asked is not None:
             raise ModelError(
-                f"fps={controls['fps']:g}: with levels={controls['levels']} a motion has that "
-                "level's rate"
+                f"fps={asked:g}: with levels={controls['levels']} a motion has that level's rate"
             )
-        return controls["fps"]
+        if coarse or asked is not None:
+            return asked
+        return self.recorded_fps if controls["keyframes"] is None else self.fps
 
     def reconstruct(
         self, name: str, speech: Speech | None = None, sample_rate: int | None = None
@@ -209,32 +207,13 @@ class MultiresModel(TrainedModel):
             )
         lengths = af.level_lengths(sequence.frames, self.network_config.levels)
         styles: list[Tensor] = []
-        if self.styles:
-            track = level_track(self.styles, sequence.style or "", lengths[-1], self.fps)
-            styles = [resample(track, n)[None] for n in lengths]
+        if sequence.style is not None:
+            numbers = torch.full((1, len(lengths)), self.styles.index(sequence.style))
+            styles = style_levels(numbers, len(self.styles), lengths)
         condition = self.conditions.of_motion(features, lengths, styles)
         noise = self.noise.z_star[name].reshape(1, -1, lengths[0])
-        values = Pyramid(self, lengths, condition).from_noise(noise)
+        values = generated(self, [noise, *[None] * (len(lengths) - 1)], lengths, condition)
         return self.representation.decode(values, self.fps)
-
-    @gesturekit_errors()
-    def state(self, motion: str | Path | Motion) -> np.ndarray:
-        """Measure the state of movement of a motion: what `generate` takes as `state`.
-
-        Args:
-            motion: a motion or its file; one on another rig is retargeted.
-
-        Returns:
-            (T, C) at the model's frame rate; `state_process.channels.names` names the channels.
-
-        Raises:
-            ModelError: a model without a state of movement.
-            FormatError: the file cannot be read.
-            MotionError: a rig that cannot be retargeted.
-        """
-        if self.state_process is None:
-            raise ModelError("state: this model was trained without the state of movement")
-        return self.measured(motion if isinstance(motion, Motion) else Motion.load(motion))
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""

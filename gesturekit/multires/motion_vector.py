@@ -172,9 +172,9 @@ class MultiresRepresentation(ModelJoints):
         rotations = self.fixed_pose(n_frames)
         index = self.indices
         for start in range(0, n_frames, _FRAMES_AT_ONCE):
-            part = values[start : start + _FRAMES_AT_ONCE, self.layout.rotations]
-            modelled = quaternion_from_sixd(part.reshape(len(part), len(index), 6))
-            rotations[start : start + len(part), index] = modelled
+            sixd = values[start : start + _FRAMES_AT_ONCE, self.layout.rotations]
+            modelled = quaternion_from_sixd(sixd.reshape(len(sixd), len(index), 6))
+            rotations[start : start + len(sixd), index] = modelled
         dx, height, dz = values[:, self.layout.root].T
         position = np.stack([np.cumsum(dx) - dx[0], height, np.cumsum(dz) - dz[0]], axis=-1)
         size = self.scale * self.size_of(skeleton)
@@ -206,10 +206,10 @@ class Normaliser:
         start = 0
         n_joints = len(representation.joints)
         for block, size in enumerate(representation.block_sizes[:-1]):
-            part = slice(start, start + size)
-            spread = np.sqrt((scale[part] ** 2).mean())
+            columns = slice(start, start + size)
+            spread = np.sqrt((scale[columns] ** 2).mean())
             floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
-            scale[part] = max(spread, floor)
+            scale[columns] = max(spread, floor)
             start += size
         root = representation.layout.root
         dx, height, dz = scale[root]
@@ -236,3 +236,53 @@ class Normaliser:
     def from_values(self, values: np.ndarray) -> Tensor:
         """Return (1, D, T) normalised, from (T, D) in their own units."""
         return self.forward(torch.from_numpy(values.T).float()[None])
+
+
+_MAX_STEP = 3.0
+"""Limit of root steps that the next level gets, in standard deviations: far outside of the training
+data its output is arbitrary."""
+
+
+def turned(values: np.ndarray, angle: np.ndarray | float, layout: VectorLayout) -> np.ndarray:
+    """Return motion vectors (T, D) turned about the world's Y axis.
+
+    Args:
+        values: (T, D) in their own units.
+        angle: radians, (T,) or one for all frames.
+        layout: columns of the vectors.
+    """
+    values = values.copy()
+    angle = np.broadcast_to(angle, len(values))
+    about_y = quaternion_from_rotation_vector(angle[:, None] * np.array([0.0, 1.0, 0.0]))
+    root = quaternion_from_sixd(values[:, layout.root_rotation])
+    root = multiply_quaternions(about_y, root)
+    values[:, layout.root_rotation] = sixd_from_quaternion(root)
+    values[:, layout.root_xz] = turned_plane(values[:, layout.root_xz], angle)
+    return values
+
+
+def clamped_steps(vectors: Tensor, layout: VectorLayout) -> Tensor:
+    """Return normalised vectors (1, D, T) with root steps within `_MAX_STEP`."""
+    vectors = vectors.clone()
+    vectors[:, layout.root_xz] = vectors[:, layout.root_xz].clamp(-_MAX_STEP, _MAX_STEP)
+    return vectors
+
+
+def fastest_second(steps: np.ndarray, fps: float) -> float:
+    """Return the ground speed (m/s) in the fastest second, or on average if there is less.
+
+    Args:
+        steps: (T, 2) displacement over the ground in each frame, m.
+        fps: frames per second.
+    """
+    window = max(1, min(len(steps), round(fps)))
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    distance = np.linalg.norm(path[window:] - path[:-window], axis=1)
+    return float(distance.max(initial=0.0) * fps / window)  # a single frame has no steps
+
+
+def turned_plane(plane: np.ndarray, angle: np.ndarray | float) -> np.ndarray:
+    """Return x and z (T, 2) turned about Y; a quarter turn takes +Z to +X."""
+    x, z = plane.T
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.stack([x * cosine + z * sine, z * cosine - x * sine], axis=1)

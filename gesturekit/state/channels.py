@@ -160,7 +160,7 @@ class StateChannels:
             place = self._faced(places, places[:, index[0]], outwards, fps)
             rows += self._of_hand(place, speed, fps)
         if len(self.hands) == 2:
-            left, right = (velocity[:, own[0], 1] for own in self.hands)
+            left, right = (velocity[:, joints[0], 1] for joints in self.hands)
             rows.append(_coupling(left, right, fps))
             for _, joint in self._others:
                 speed = (velocity[:, joint].square().sum(dim=1) + _TINY).sqrt()
@@ -204,11 +204,11 @@ def averaged(
         return values[..., start:stop]
     edges = np.arange(start, stop + 1) * (length / n_frames)
     first = int(edges[0])
-    part = values[..., first : min(length, int(np.ceil(edges[-1])))]
-    zero = np.zeros((*part.shape[:-1], 1))
-    total = np.concatenate([zero, np.cumsum(part, axis=-1, dtype=np.float64)], axis=-1)
-    at = np.clip(edges - first, 0, part.shape[-1])
-    low = np.minimum(at.astype(int), part.shape[-1] - 1)
+    needed = values[..., first : min(length, int(np.ceil(edges[-1])))]
+    zero = np.zeros((*needed.shape[:-1], 1))
+    total = np.concatenate([zero, np.cumsum(needed, axis=-1, dtype=np.float64)], axis=-1)
+    at = np.clip(edges - first, 0, needed.shape[-1])
+    low = np.minimum(at.astype(int), needed.shape[-1] - 1)
     sums = total[..., low] + (at - low) * (total[..., low + 1] - total[..., low])
     return (np.diff(sums) / np.diff(edges)).astype(values.dtype)
 
@@ -221,7 +221,7 @@ def _movement(speed: Tensor, fps: float) -> Tensor:
 def _coupling(left: Tensor, right: Tensor, fps: float) -> Tensor:
     """Return the local correlation (B, T) of two velocities (B, T)."""
     sigma = _COUPLED_SECONDS * fps
-    power = [_smoothed(own.square(), sigma) + _COUPLED_SPEED**2 for own in (left, right)]
+    power = [_smoothed(speed.square(), sigma) + _COUPLED_SPEED**2 for speed in (left, right)]
     return _smoothed(left * right, sigma) / (power[0] * power[1]).sqrt()
 
 

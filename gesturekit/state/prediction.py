@@ -105,14 +105,14 @@ class Regression:
             predictions[out] = _predictions_of(x, y, out, kept & fitted) + offset
         scores = [correlation(row, y) for row in predictions.T]
         best = int(np.argmax(scores))
-        found = predictions[:, best]
-        size = max(found.std(), 1e-9)
+        curve = predictions[:, best]
+        size = max(curve.std(), 1e-9)
         return cls(
             mean,
             _ridge(x[::every] - mean, y[::every])[:, best] / size,
-            float((offset - found.mean()) / size),
+            float((offset - curve.mean()) / size),
             scores[best],
-            _limited((found - found.mean()) / size),
+            _limited((curve - curve.mean()) / size),
         )
 
     def tensors(self, where: str) -> dict[str, Tensor]:
@@ -286,8 +286,8 @@ class WantedMovement:
 
     def tensors(self, where: str) -> dict[str, Tensor]:
         """Return the tensors of a model folder, by names that begin with `where`."""
-        own = {f"{where}.{name}": _tensor(getattr(self, name)) for name in _ARRAYS}
-        return own | self.fast.tensors(f"{where}.fast") | self.slow.tensors(f"{where}.slow")
+        arrays = {f"{where}.{name}": _tensor(getattr(self, name)) for name in _ARRAYS}
+        return arrays | self.fast.tensors(f"{where}.fast") | self.slow.tensors(f"{where}.slow")
 
     @classmethod
     def load(
@@ -338,11 +338,10 @@ class WantedMovement:
         speech = usual_voice(speech, self.effort, self.voices)
         slow = self.slow(slow_inputs(speech, self.slow_basis, self.fps))
         slow -= (1 - self.mean_counts) * slow.mean()
-        inputs = _bins(speech, self.fast_basis, self.fps)
-        n_frames = speech.shape[1]
-        parts = [slice(i, i + _FRAMES_AT_ONCE) for i in range(0, n_frames, _FRAMES_AT_ONCE)]
-        fast = np.concatenate([self.fast(_flat(inputs[part])) for part in parts])
-        return self.spread * fast, slow
+        bins = _bins(speech, self.fast_basis, self.fps)
+        starts = range(0, len(bins), _FRAMES_AT_ONCE)
+        fast = [self.fast(_flat(bins[start : start + _FRAMES_AT_ONCE])) for start in starts]
+        return self.spread * np.concatenate(fast), slow
 
 
 def usual_voice(speech: np.ndarray, effort: Sequence[int], voices: np.ndarray) -> np.ndarray:
@@ -360,9 +359,9 @@ def usual_voice(speech: np.ndarray, effort: Sequence[int], voices: np.ndarray) -
     if not len(effort):
         return speech
     lowest, usual, highest = voices
-    own = speech[list(effort)].mean(axis=1)
-    beyond = np.maximum(own - highest, lowest - own) / np.maximum((highest - lowest) / 2, 1e-3)
-    moved = np.clip(beyond - 1.0, 0.0, 1.0) * (own - usual)
+    mean = speech[list(effort)].mean(axis=1)
+    beyond = np.maximum(mean - highest, lowest - mean) / np.maximum((highest - lowest) / 2, 1e-3)
+    moved = np.clip(beyond - 1.0, 0.0, 1.0) * (mean - usual)
     speech = speech.copy()
     speech[list(effort)] -= moved[:, None]
     return speech
@@ -433,22 +432,20 @@ def _steadied(
         takes: take of each recording.
     """
     assert regression.left_out is not None
-    ends = np.cumsum([len(own) for own in slow])[:-1]
+    ends = np.cumsum([len(curve) for curve in slow])[:-1]
     predicted = np.split(regression.left_out, ends)
     names, counts = list(dict.fromkeys(takes)), _MEAN_COUNTS
     if len(names) >= _LEAST_TAKES:
         of_take = [[k for k, take in enumerate(takes) if take == name] for name in names]
-        means = np.array(
-            [
-                [np.concatenate([rows[k] for k in own]).mean() for own in of_take]
-                for rows in (predicted, slow)
-            ]
-        )
-        changes = [np.concatenate([own - own.mean() for own in rows]) for rows in (predicted, slow)]
-        found = _slope(*means) / max(_slope(*changes), 1e-6)
+        means, changes = [], []
+        for curves in (predicted, slow):
+            takes_of = [np.concatenate([curves[k] for k in members]) for members in of_take]
+            means.append(np.array([curve.mean() for curve in takes_of]))
+            changes.append(np.concatenate([curve - curve.mean() for curve in curves]))
+        slope = _slope(*means) / max(_slope(*changes), 1e-6)
         n = len(names) - 1
-        counts = (n * np.clip(found, 0.0, 1.0) + _PRIOR_TAKES * counts) / (n + _PRIOR_TAKES)
-    predicted = np.concatenate([own - (1 - counts) * own.mean() for own in predicted])
+        counts = (n * np.clip(slope, 0.0, 1.0) + _PRIOR_TAKES * counts) / (n + _PRIOR_TAKES)
+    predicted = np.concatenate([curve - (1 - counts) * curve.mean() for curve in predicted])
     size = max(predicted.std(), 1e-9)
     return float(counts), replace(
         regression,
@@ -475,8 +472,8 @@ def _bases(
     if len(others) > _MOST_FEATURES:
         x = np.concatenate([speech[others] for speech in speeches], axis=1).astype(float)
         largest = largest @ np.linalg.eigh(np.cov(x))[1][:, -_MOST_FEATURES:]
-    chosen = [every[:, [i for i in others if i in own]] for own in smaller]
-    return [largest, *(part for part in chosen if 0 < part.shape[1] < len(others))]
+    chosen = [every[:, [i for i in others if i in columns]] for columns in smaller]
+    return [largest, *(basis for basis in chosen if 0 < basis.shape[1] < len(others))]
 
 
 def _tensor(value: Any) -> Tensor:

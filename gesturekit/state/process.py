@@ -10,9 +10,6 @@ any of them. The state is drawn, for each motion anew (a Gaussian copula):
 - A score is the part that speech predicts, plus noise with the rest of the variance, correlated
   between channels as in the recordings. Noise of slow channels has a component that changes from
   take to take and one that changes within a take; noise of fast channels has the recorded spectrum.
-
-Noise depends on its seed and on the time alone, so that any part of a motion can be drawn by
-itself.
 """
 
 from __future__ import annotations
@@ -20,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import repeat
 
 import numpy as np
@@ -29,25 +25,20 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import rankdata
 
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.state.ahead import AheadPrediction
 from gesturekit.state.channels import CARRIERS, SPEED_FLOOR, StateChannels
+from gesturekit.state.live import AheadPrediction
+from gesturekit.state.noise import (
+    STEP,
+    STEPS_OF_TAKE,
+    filtered,
+    gaussian,
+    mixing,
+    share_between_takes,
+    spectral_kernels,
+    within_takes,
+)
 from gesturekit.state.prediction import WantedMovement, correlation
 
-_BETWEEN_TAKES, _PRIOR_TAKES = 1 / 3, 3.0
-"""Share of the variance between takes that is expected before any recording is seen, and the number
-of takes that count as much as that expectation."""
-_WIDTHS = np.geomspace(1.5, 24.0, 13)
-"""Smoothness of the component within takes to choose from: seconds of standard deviation of the
-Gaussian that smooths white noise. Its correlation at lag t is exp(-t^2 / (4 width^2))."""
-_LAGS = 24
-_STEP, _STEPS_OF_TAKE = 0.25, 8
-"""Seconds between the points at which noise within takes is drawn; points in each `take`."""
-_TRUNCATED = 4.0
-"""Gaussians end at this many standard deviations."""
-_FAST_SECONDS = 2.0
-"""Seconds to each side from which fast noise is filtered."""
-_BLOCK, _ZERO = 256, 2**31
-"""Points of white noise that are drawn at a time; number of the block that begins at time 0."""
 _SHARES = (np.arange(201) + 0.5) / 201
 """Shares of the quantiles between which recorded values are interpolated."""
 _VOICE_SECONDS, _PAUSE_SECONDS = 0.1, 0.5
@@ -151,30 +142,20 @@ class StateProcess:
             fps: frames per second.
             conditioner: of the speech features; None without speech input.
         """
-        fast, values = channels.fast, [own.values for own in recordings]
+        fast, values = channels.fast, [recording.values for recording in recordings]
         silence = np.empty(0) if conditioner is None else conditioner.silence(1)[0].astype(float)
-        voices = [_voices(channels, own.speech, silence, fps) for own in recordings]
+        voices = [_voices(channels, each.speech, silence, fps) for each in recordings]
         voiced = _voiced(voices, fps)
-        groups = [own.group for own in recordings]
-        relative = [_relative(channels, own) for own in values]
+        groups = [recording.group for recording in recordings]
+        relative = [_relative(channels, curves) for curves in values]
         scores = _scores(relative, voiced, groups)
-        wanted = _wanted(channels, recordings, scores, fps, conditioner)
-        explained, usual = np.zeros(len(fast)), np.array([0.0, 0.0, 1.0])
-        noise = np.concatenate(scores, axis=1)
-        if wanted is not None:
-            usual, predicted = _predictions(
-                wanted, np.concatenate([own[np.argmax(fast)] for own in voiced])
-            )
-            rows = predicted[fast.astype(int)]  # of each channel
-            explained = np.clip((noise * rows).mean(axis=1), -_MOST_EXPLAINED, _MOST_EXPLAINED)
-            # A hand that moves less where more was predicted is chance.
-            explained[fast] = np.maximum(explained[fast], 0.0)
-            trust = np.where(fast, 1.0, wanted.trust)
-            noise = noise - (explained * trust)[:, None] * rows
-        ends = np.cumsum([own.shape[1] for own in values])[:-1]
+        wanted, usual, explained, noise = _explained(
+            channels, recordings, scores, voiced, fps, conditioner
+        )
+        ends = np.cumsum([curves.shape[1] for curves in values])[:-1]
         parts = np.split(noise / np.maximum(noise.std(axis=1, keepdims=True), 1e-6), ends, axis=1)
-        takes = len({own.take for own in recordings})
-        within, width = _within_takes([own[~fast] for own in parts], fps)
+        takes = len({recording.take for recording in recordings})
+        within, width = within_takes([curves[~fast] for curves in parts], fps)
         pooled = np.concatenate(values, axis=1)
         return cls(
             channels=channels,
@@ -185,11 +166,11 @@ class StateProcess:
             scale=np.maximum(pooled.std(axis=1), 1e-3),
             explained=explained,
             usual=usual,
-            mixing=_mixing(np.concatenate(parts, axis=1), fast),
-            between=_share_between_takes(within, takes),
+            mixing=mixing(np.concatenate(parts, axis=1), fast),
+            between=share_between_takes(within, takes),
             width=width,
-            take=max(pooled.shape[1] / fps / takes, _STEP),
-            kernel=_spectral_kernels([own[fast] for own in parts], fps),
+            take=max(pooled.shape[1] / fps / takes, STEP),
+            kernel=spectral_kernels([curves[fast] for curves in parts], fps),
             quantiles=_quantiles(relative, voiced, groups),
             response=np.repeat(np.quantile(pooled, _RESPONSE, axis=1).T[None], 2, axis=0),
             followed=np.ones(len(fast)),
@@ -201,9 +182,9 @@ class StateProcess:
         A network moves a little where it should rest. Asked for less, it shows what was wanted.
         Only speeds are asked for so: a hand that is asked to move wider also moves faster.
         """
-        asked, found = (np.quantile(rows, _RESPONSE, axis=1).T for rows in (wanted, shown))
+        asked, answers = (np.quantile(rows, _RESPONSE, axis=1).T for rows in (wanted, shown))
         values, given = self.response
-        more = [np.interp(*row) for row in zip(values, asked, asked - found)]
+        more = [np.interp(*row) for row in zip(values, asked, asked - answers)]
         of_speed = (self.channels.movement | self.channels.fast)[:, None]
         given = np.maximum.accumulate(given + _DAMPING * of_speed * np.array(more), axis=1)
         followed = [correlation(*rows) for rows in zip(wanted, shown)]
@@ -251,11 +232,11 @@ class StateProcess:
         `speech` is (S, T), as ranks in silence are others than those in speech.
         """
         values = _relative(self.channels, values)
-        own = [
+        quiet, loud = (
             [np.interp(*row) for row in zip(values, quantiles, repeat(_SHARES))]
             for quantiles in self.quantiles[None, None]
-        ]
-        return ndtri(np.where(self.voices(speech) > 0.5, own[1], own[0]))
+        )
+        return ndtri(np.where(self.voices(speech) > 0.5, loud, quiet))
 
     def values(
         self,
@@ -283,7 +264,12 @@ class StateProcess:
             explained = explained * np.where(self.channels.fast[:, None], known, 1.0)
             scores = explained * means + np.sqrt(1 - explained**2) * scores
         quantiles = self.quantiles.get(group, self.quantiles[None, None])
-        quiet, loud = (_recorded_values(scores, own) for own in quantiles)
+        ranks = ndtr(scores)
+        # The recorded value of the same rank for each score.
+        quiet, loud = (
+            np.stack([np.interp(*row) for row in zip(ranks, repeat(_SHARES), rows)])
+            for rows in quantiles
+        )
         values = _absolute(self.channels, quiet + voices * (loud - quiet))
         values[self.channels.movement] += math.log(liveliness)
         return values
@@ -307,14 +293,14 @@ class StateProcess:
         fast, result = self.channels.fast, np.empty((len(self.mixing), len(frames)))
         seconds = (frames + 0.5) / self.fps
         slow = self.mixing[np.ix_(~fast, ~fast)]
-        kernels = [_gaussian(width / _STEP, self.width.max() / _STEP) for width in self.width]
-        within = _filtered(seed, slow, kernels, seconds / _STEP)
-        kernels = [_gaussian(_STEPS_OF_TAKE, _STEPS_OF_TAKE)] * len(slow)
-        take = _filtered(seed + 1, slow, kernels, seconds * (_STEPS_OF_TAKE / self.take))
+        kernels = [gaussian(width / STEP, self.width.max() / STEP) for width in self.width]
+        within = filtered(seed, slow, kernels, seconds / STEP)
+        kernels = [gaussian(STEPS_OF_TAKE, STEPS_OF_TAKE)] * len(slow)
+        take = filtered(seed + 1, slow, kernels, seconds * (STEPS_OF_TAKE / self.take))
         share = self.between[:, None]
         result[~fast] = np.sqrt(share) * take + np.sqrt(1 - share) * within
         together = self.mixing[np.ix_(fast, fast)]
-        result[fast] = _filtered(seed + 2, together, list(self.kernel), frames.astype(float))
+        result[fast] = filtered(seed + 2, together, list(self.kernel), frames.astype(float))
         return result
 
     def clocks(self, values: np.ndarray) -> np.ndarray:
@@ -338,9 +324,10 @@ class StateProcess:
             seed: of the noise.
             clocks: (H, T) times of the hands' clocks.
         """
-        kernels = [_gaussian(_STROKE_POINTS / 2, _STROKE_POINTS / 2)] * CARRIERS
+        kernels = [gaussian(_STROKE_POINTS / 2, _STROKE_POINTS / 2)] * CARRIERS
         noise = [
-            _filtered(seed + 3 + k, np.eye(CARRIERS), kernels, own) for k, own in enumerate(clocks)
+            filtered(seed + 3 + k, np.eye(CARRIERS), kernels, clock)
+            for k, clock in enumerate(clocks)
         ]
         # Uniform, as arms have limits: rare large values would lift them out of their range.
         return math.sqrt(12.0) * (ndtr(np.concatenate(noise)) - 0.5)
@@ -410,10 +397,10 @@ def _in_time_of(values: np.ndarray, clock: np.ndarray) -> np.ndarray:
     return np.interp(clock, points, smooth)
 
 
-def _continued(values: np.ndarray, at: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Return the curve through (at, found) at values (T,), piecewise linear; ends have slope 1."""
+def _continued(values: np.ndarray, at: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """Return the curve through (at, curve) at values (T,), piecewise linear; ends have slope 1."""
     beyond = np.minimum(values - at[0], 0.0) + np.maximum(values - at[-1], 0.0)
-    return np.interp(values, at, found) + beyond
+    return np.interp(values, at, curve) + beyond
 
 
 def voice_activity(speech: np.ndarray, silence: np.ndarray, fps: float) -> np.ndarray:
@@ -446,32 +433,44 @@ def _voices(
 
 def _voiced(voices: Sequence[np.ndarray], fps: float) -> list[np.ndarray]:
     """Return (C, T_k) bool, True in speech; everywhere where there is little speech or silence."""
-    found = np.concatenate(voices, axis=1) > 0.5
-    count = found.sum(axis=1)
-    known = np.minimum(count, found.shape[1] - count) >= _LEAST_SECONDS * fps
-    return [(own > 0.5) | ~known[:, None] for own in voices]
+    active = np.concatenate(voices, axis=1) > 0.5
+    count = active.sum(axis=1)
+    known = np.minimum(count, active.shape[1] - count) >= _LEAST_SECONDS * fps
+    return [(voice > 0.5) | ~known[:, None] for voice in voices]
 
 
-def _wanted(
+def _explained(
     channels: StateChannels,
     recordings: Sequence[RecordedState],
     scores: Sequence[np.ndarray],
+    voiced: Sequence[np.ndarray],
     fps: float,
     conditioner: SpeechConditioner | None,
-) -> WantedMovement | None:
-    """Return the prediction from speech; None without speech, or if it predicts nothing."""
+) -> tuple[WantedMovement | None, np.ndarray, np.ndarray, np.ndarray]:
+    """Return `wanted`, `usual` and `explained` of a process, and the rest of the scores, (C, T)."""
+    fast, noise = channels.fast, np.concatenate(scores, axis=1)
+    usual, explained = np.array([0.0, 0.0, 1.0]), np.zeros(len(fast))
     if conditioner is None:
-        return None
+        return None, usual, explained, noise
     wanted = WantedMovement.fit(
-        [own.speech for own in recordings],
-        [own.values[channels.fast].mean(axis=0) for own in recordings],
-        [own[channels.of_hands].mean(axis=0) for own in scores],
+        [recording.speech for recording in recordings],
+        [recording.values[fast].mean(axis=0) for recording in recordings],
+        [curves[channels.of_hands].mean(axis=0) for curves in scores],
         fps,
         conditioner.effort,
         (conditioner.acoustic, conditioner.prosody),
-        takes=[own.take for own in recordings],
+        takes=[recording.take for recording in recordings],
     )
-    return wanted if wanted.predicts else None
+    if not wanted.predicts:
+        return None, usual, explained, noise
+    in_speech = np.concatenate([flags[np.argmax(fast)] for flags in voiced])
+    usual, predicted = _predictions(wanted, in_speech)
+    rows = predicted[fast.astype(int)]  # of each channel
+    explained = np.clip((noise * rows).mean(axis=1), -_MOST_EXPLAINED, _MOST_EXPLAINED)
+    # A hand that moves less where more was predicted is chance.
+    explained[fast] = np.maximum(explained[fast], 0.0)
+    trust = np.where(fast, 1.0, wanted.trust)
+    return wanted, usual, explained, noise - (explained * trust)[:, None] * rows
 
 
 def _predictions(wanted: WantedMovement, voiced: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -495,36 +494,20 @@ def _scores(
 
     Ranks are those among the frames of the same class (C, T_k), bool, of the same group.
     """
-    result = [np.empty(own.shape) for own in curves]
+    result = [np.empty(curve.shape) for curve in curves]
     for group in dict.fromkeys(groups):
-        own = [k for k, other in enumerate(groups) if other == group]
-        pooled = np.concatenate([curves[k] for k in own], axis=1)
-        flags = np.concatenate([classes[k] for k in own], axis=1)
+        members = [k for k, other in enumerate(groups) if other == group]
+        pooled = np.concatenate([curves[k] for k in members], axis=1)
+        flags = np.concatenate([classes[k] for k in members], axis=1)
         scores = np.empty(pooled.shape)
         for row, values, flag in zip(scores, pooled, flags, strict=True):
-            for part in (flag, ~flag):
-                if part.any():
-                    row[part] = ndtri((rankdata(values[part]) - 0.5) / part.sum())
-        edges = np.cumsum([curves[k].shape[1] for k in own])[:-1]
-        for k, found in zip(own, np.split(scores, edges, axis=1), strict=True):
-            result[k] = found
+            for frames in (flag, ~flag):
+                if frames.any():
+                    row[frames] = ndtri((rankdata(values[frames]) - 0.5) / frames.sum())
+        edges = np.cumsum([curves[k].shape[1] for k in members])[:-1]
+        for k, rows in zip(members, np.split(scores, edges, axis=1), strict=True):
+            result[k] = rows
     return result
-
-
-def _recorded_quantiles(recorded: Sequence[np.ndarray]) -> np.ndarray:
-    """Return quantiles (C, Q) of recorded curves (C, T_k)."""
-    return np.quantile(np.concatenate(recorded, axis=1), _SHARES, axis=1).T
-
-
-def _recorded_values(scores: np.ndarray, quantiles: np.ndarray) -> np.ndarray:
-    """Return the recorded value of the same rank for each score, (C, T).
-
-    Args:
-        scores: (C, T).
-        quantiles: (C, Q) of the recordings, see `_recorded_quantiles`.
-    """
-    ranks = ndtr(scores)
-    return np.stack([np.interp(*row) for row in zip(ranks, repeat(_SHARES), quantiles)])
 
 
 def _quantiles(
@@ -536,128 +519,16 @@ def _quantiles(
         asked += [(speaker, None), (None, style), (speaker, style)]
     result = {}
     for group in dict.fromkeys(asked):
-        own = [
+        members = [
             k
             for k, other in enumerate(groups)
             if all(name in (None, theirs) for name, theirs in zip(group, other, strict=True))
         ]
-        pooled = np.concatenate([values[k] for k in own], axis=1)
-        loud = np.concatenate([voiced[k] for k in own], axis=1)
+        pooled = np.concatenate([values[k] for k in members], axis=1)
+        loud = np.concatenate([voiced[k] for k in members], axis=1)
         rows = [
-            [_recorded_quantiles([curve[part if part.any() else ~part][None]])[0] for part in parts]
-            for curve, *parts in zip(pooled, ~loud, loud)
+            [np.quantile(curve[frames if frames.any() else ~frames], _SHARES) for frames in classes]
+            for curve, *classes in zip(pooled, ~loud, loud)
         ]
         result[group] = np.stack(rows, axis=1)
     return result
-
-
-def _mixing(noise: np.ndarray, fast: np.ndarray) -> np.ndarray:
-    """Return the Cholesky factor (C, C) of the correlation of noise (C, T) of unit variance.
-
-    Slow and fast channels are independent. The smallest variances are raised.
-    """
-    correlation = (noise @ noise.T) / noise.shape[1] * (fast[:, None] == fast)
-    values, vectors = np.linalg.eigh(correlation)
-    correlation = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-    scale = np.sqrt(np.diag(correlation))
-    return np.linalg.cholesky(correlation / np.outer(scale, scale))
-
-
-def _share_between_takes(within: np.ndarray, takes: int) -> np.ndarray:
-    """Return the share (C,) of the variance between takes, given that within them, (C,)."""
-    count = takes - 1
-    return (count * (1 - within) + _PRIOR_TAKES * _BETWEEN_TAKES) / (count + _PRIOR_TAKES)
-
-
-def _within_takes(scores: Sequence[np.ndarray], fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of the variance within takes, and its smoothness in seconds, both (C,).
-
-    They are fitted to half the mean squared difference of frames of a recording, at lags up to half
-    of the longest recording (a variogram). It does not depend on the recordings' means, which are
-    known badly.
-
-    Args:
-        scores: (C, T_k) of variance 1 in all recordings together.
-        fps: frames per second.
-    """
-    longest = max(own.shape[1] for own in scores)
-    lags = np.unique(np.geomspace(max(1, fps / 2), max(2, longest / 2), _LAGS).astype(int))
-    lags = lags[lags < longest]
-    if not len(lags):
-        return np.full(len(scores[0]), 0.5), np.full(len(scores[0]), _WIDTHS[0])
-    counts = np.array(
-        [sum(own.shape[1] - lag for own in scores if own.shape[1] > lag) for lag in lags]
-    )
-    halves = np.stack(
-        [
-            sum(
-                np.square(own[:, lag:] - own[:, :-lag]).sum(axis=1)
-                for own in scores
-                if own.shape[1] > lag
-            )
-            / (2 * count)
-            for lag, count in zip(lags, counts, strict=True)
-        ]
-    )  # (lags, C)
-    shapes = 1 - np.exp(-np.square(lags[:, None] / fps / _WIDTHS) / 4)  # (lags, widths)
-    weights = counts[:, None]
-    shares = ((weights * shapes).T @ halves) / (weights * np.square(shapes)).sum(axis=0)[:, None]
-    shares = np.clip(shares, 0.0, 1.0)  # (widths, C)
-    errors = np.square(halves[:, None] - shapes[:, :, None] * shares).transpose(1, 2, 0) @ counts
-    best = errors.argmin(axis=0)
-    return shares[best, np.arange(len(best))], _WIDTHS[best]
-
-
-def _spectral_kernels(noise: Sequence[np.ndarray], fps: float) -> np.ndarray:
-    """Return filters (F, 2 R + 1) that give white noise the spectrum of noise (F, T_k)."""
-    reach = round(_FAST_SECONDS * fps)
-    lags = range(min(reach + 1, max(own.shape[1] for own in noise)))
-    covariance = np.zeros((len(noise[0]), reach + 1))
-    for lag in lags:
-        products = [own[:, lag:] * own[:, : own.shape[1] - lag] for own in noise]
-        covariance[:, lag] = np.concatenate(products, axis=1).mean(axis=1)
-    covariance *= np.hanning(2 * reach + 3)[reach + 1 : -1]
-    both = np.concatenate([covariance, covariance[:, :0:-1]], axis=1)
-    amplitude = np.sqrt(np.maximum(np.fft.rfft(both).real, 0.0))
-    kernels = np.fft.fftshift(np.fft.irfft(amplitude, 2 * reach + 1), axes=1)
-    return kernels / np.maximum(np.linalg.norm(kernels, axis=1, keepdims=True), 1e-9)
-
-
-def _filtered(
-    seed: int, mixing: np.ndarray, kernels: Sequence[np.ndarray], places: np.ndarray
-) -> np.ndarray:
-    """Return white noise at whole numbers, filtered and interpolated at places (N,): (C, N).
-
-    Args:
-        seed: of the noise.
-        mixing: (C, C) Cholesky factor of the correlation between channels.
-        kernels: (2 R + 1,) filter of each channel.
-        places: (N,).
-    """
-    if not len(mixing) or not len(places):
-        return np.empty((len(mixing), len(places)))
-    reach = len(kernels[0]) // 2
-    low, high = math.floor(places.min()) - reach, math.floor(places.max()) + 1 + reach
-    blocks = range(low // _BLOCK, high // _BLOCK + 1)
-    white = np.concatenate([_white(seed, block, len(mixing)) for block in blocks])
-    white = mixing @ white[low - blocks[0] * _BLOCK :][: high - low + 1].T
-    at = np.arange(low + reach, high - reach + 1)
-    pairs = zip(white, kernels, strict=True)
-    return np.stack(
-        [np.interp(places, at, np.convolve(row, own, mode="valid")) for row, own in pairs]
-    )
-
-
-@lru_cache(maxsize=256)
-def _white(seed: int, block: int, channels: int) -> np.ndarray:
-    """Return a block of white noise, (_BLOCK, channels)."""
-    return np.random.default_rng((seed, block + _ZERO)).standard_normal((_BLOCK, channels))
-
-
-@lru_cache(maxsize=64)
-def _gaussian(width: float, widest: float) -> np.ndarray:
-    """Return a Gaussian of `width` points and unit norm, as long as one of `widest` points."""
-    impulse = np.zeros(2 * (math.ceil(_TRUNCATED * widest) + 1) + 1)
-    impulse[len(impulse) // 2] = 1.0
-    kernel = gaussian_filter1d(impulse, width, truncate=_TRUNCATED)
-    return kernel / np.linalg.norm(kernel)

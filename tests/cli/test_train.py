@@ -17,7 +17,7 @@ from gesturekit import systems
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.inspection import inspect
-from gesturekit.multires import Stage
+from gesturekit.multires.training.trainer import Stage
 from gesturekit.systems import resolved_settings
 from gesturekit.training.run.folder import Run
 

@@ -19,7 +19,7 @@ from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.diffusion.training.batches import Batches
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.state import StateProcess
+from gesturekit.state.process import StateProcess
 from gesturekit.training.seeds import rng_for
 
 FILE = "model.safetensors"

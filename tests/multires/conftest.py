@@ -9,15 +9,13 @@ from speakers import SETTINGS, write_speakers
 import gesturekit as gk
 from gesturekit.corpus import Item, Manifest
 from gesturekit.multires import (
-    Batches,
     MultiresConfig,
     MultiresGenerator,
     TrainingData,
-    WindowCache,
-    convolve_dense,
     load_training_data,
     train,
 )
+from gesturekit.multires.training.windows import Batches
 
 
 @pytest.fixture
@@ -47,25 +45,14 @@ def motions(gesture, tmp_path):
 
 
 @pytest.fixture
-def cache_of():
-    """cache_of(config, data=None): the window cache of a run with untrained networks."""
-
-    def make(config: MultiresConfig, data: TrainingData | None = None) -> WindowCache:
-        data = load_training_data(config) if data is None else data
-        width = data.conditions(config).width
-        network = MultiresGenerator(data.representation, width, config.network)
-        return WindowCache(data, config, network)
-
-    return make
-
-
-@pytest.fixture
-def batches_of(cache_of):
+def batches_of():
     """batches_of(config, data=None, first=0): the batches of a stage with untrained networks."""
 
     def make(config: MultiresConfig, data: TrainingData | None = None, first: int = 0) -> Batches:
-        cache = cache_of(config, data)
-        return Batches(cache.data, config, cache.network, first, convolve_dense)
+        data = load_training_data(config) if data is None else data
+        width = data.conditions(config).width
+        network = MultiresGenerator(data.representation, width, config.network)
+        return Batches(data, config, network, first)
 
     return make
 

@@ -12,16 +12,15 @@ import gesturekit as gk
 from gesturekit.diagnosis import diagnose
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.multires import (
-    VARIABLE,
     LevelDiscriminator,
     MultiresGenerator,
     MultiresRepresentation,
     NetworkConfig,
-    SkeletonConv1d,
     choose_backend,
-    requested_backend,
     train,
 )
+from gesturekit.multires.backend import VARIABLE, requested_backend
+from gesturekit.multires.layers import SkeletonConv1d
 
 ENGINE = "gesturekit.multires.cpu.engine"
 LAYER = torch.nn.Conv1d(1, 1, 1)

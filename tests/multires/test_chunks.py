@@ -9,15 +9,10 @@ from hypothesis import strategies as st
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import arm_speed
-from gesturekit.multires import (
-    VARIABLE,
-    LevelConditions,
-    MultiresGenerator,
-    MultiresRepresentation,
-    NetworkConfig,
-    condition_levels,
-    sample,
-)
+from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
+from gesturekit.multires.backend import VARIABLE
+from gesturekit.multires.sampling.conditions import LevelConditions, condition_levels
+from gesturekit.multires.sampling.trained_model import sample
 
 LEVELS, FEATURES = 4, 3
 

@@ -16,16 +16,19 @@ from gesturekit.errors import ModelError
 from gesturekit.motion import RootPath, quaternion_from_rotation_vector, rotate_vectors
 from gesturekit.motion.heading import heading
 from gesturekit.multires import MultiresRepresentation, Normaliser, resample
-from gesturekit.multires.constraints.constraint import fastest_second, turned, turned_plane
-from gesturekit.multires.constraints.inbetweening import InbetweenClips, InbetweenConstraint
-from gesturekit.multires.constraints.keyframes import (
+from gesturekit.multires.motion_vector import fastest_second, turned, turned_plane
+from gesturekit.multires.sampling.constraints import (
+    InbetweenClips,
+    InbetweenConstraint,
+    PathConstraint,
+)
+from gesturekit.multires.sampling.keyframes import (
     KeyframeConstraint,
     ground_positions,
     keep_unedited,
     moved,
     root_through_keyframes,
 )
-from gesturekit.multires.constraints.path import PathConstraint
 
 FPS = 25.0
 HAND = "LeftHand"

@@ -12,11 +12,9 @@ from gesturekit.multires import (
     LossConfig,
     MultiresRepresentation,
     NetworkConfig,
-    SkeletonConv1d,
-    block_neighbours,
-    convolve_dense,
 )
-from gesturekit.multires.network.torch_backend import TorchBackend
+from gesturekit.multires.layers import SkeletonConv1d, block_neighbours, convolve_dense
+from gesturekit.multires.networks import TorchBackend
 
 engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
 sparse_conv = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")

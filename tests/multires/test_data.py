@@ -15,12 +15,11 @@ from gesturekit.motion.heading import heading
 from gesturekit.multires import (
     MultiresRepresentation,
     Normaliser,
-    PairedSequence,
     TrainingData,
-    level_sigmas,
     load_training_data,
     train,
 )
+from gesturekit.multires.training.data import PairedSequence, level_sigmas
 
 
 def test_normalised_motion_does_not_depend_on_the_rigs_size(gesture):
@@ -138,7 +137,7 @@ def test_a_window_longer_than_its_clip_continues_with_another(make_config):
 @pytest.mark.parametrize(("window", "share"), [(None, 1 / 2), (3.0, 63 / (100 + 63))])
 def test_recordings_are_drawn_equally_but_windows_by_frames(make_config, batches_of, window, share):
     batches = batches_of(make_config(training={"window": window}))
-    assert [sequence.n_frames for sequence in batches.paired] == [100, 63]
+    assert [sequence.n_frames for sequence in batches.data.paired] == [100, 63]
     rng = torch.Generator().manual_seed(0)
     drawn = [batches.length("paired", rng) for _ in range(600)]
     assert drawn.count(63) / 600 == pytest.approx(share, abs=0.06)

@@ -13,17 +13,12 @@ from small_runs import small_config
 
 import gesturekit as gk
 from gesturekit.corpus import Item, Manifest
+from gesturekit.corpus.speech import style_track
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion import multiply_quaternions
-from gesturekit.multires import (
-    MultiresControls,
-    agreed_style,
-    level_track,
-    mixed_styles,
-    requested_styles,
-    train,
-)
+from gesturekit.multires import MultiresControls, train
+from gesturekit.multires.sampling.conditions import agreed_style, mixed_styles, requested_styles
 
 SINGLE = {"features": None, "training": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
@@ -36,7 +31,7 @@ def test_label_mode_wants_a_style_for_every_item(make_config, motions):
 
 
 def test_spans_hold_and_blend_over_a_second():
-    track = level_track(("angry", "old"), "old@0-4,angry@4-8", 250, 25.0)
+    track = torch.from_numpy(style_track(("angry", "old"), "old@0-4,angry@4-8", 250, 25.0).T)
     torch.testing.assert_close(track.sum(dim=0), torch.ones(250))
     assert track[1, 80] == 1 and track[0, 120] == 1 and track[0, 249] == 1
     ramp = track[0, 86:114]

@@ -13,19 +13,15 @@ import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.errors import ModelError
 from gesturekit.motion import Motion, Skeleton, upper_body
-from gesturekit.multires import (
-    MultiresGenerator,
-    MultiresRepresentation,
-    NetworkConfig,
+from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
+from gesturekit.multires.layers import (
     SkeletonConv1d,
     block_neighbours,
-)
-from gesturekit.multires.network.generator import Film, modulated_blocks
-from gesturekit.multires.network.resampling import (
     reflect,
     resample,
     resample_part,
 )
+from gesturekit.multires.networks import Film, modulated_blocks
 from gesturekit.systems import model_folder
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)

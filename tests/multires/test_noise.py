@@ -9,7 +9,9 @@ import torch
 
 import gesturekit as gk
 from audio_features import level_lengths
-from gesturekit.multires import PairedSequence, TrainedNoise, TrainedSequence, ZStarPatches, train
+from gesturekit.multires import train
+from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence, ZStarPatches
+from gesturekit.multires.training.data import PairedSequence
 
 
 def test_every_frame_comes_up_once_before_any_comes_again():

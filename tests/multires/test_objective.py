@@ -6,7 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gesturekit.multires import Stage, Trainer, log_movement, losses, random_windows, resample
+from gesturekit.multires import losses, resample
+from gesturekit.multires.kinematics import log_movement
+from gesturekit.multires.training.trainer import Stage, Trainer
+from gesturekit.multires.training.windows import random_windows
 from gesturekit.training.run.session import session
 from gesturekit.training.seeds import rng_for
 
@@ -139,14 +142,14 @@ def test_losses_of_a_random_step_are_those_of_the_middle_of_each_level(stage_of,
         }
         if stride < 2.05:
             own["smoothness"] = losses.smoothness(measure.bend(values, places, stride))
-        aim = stage.targets[i](windows.speech[i])[..., margin : margin + n]
+        aim = stage.targets[i].arms(windows.speech[i])[..., margin : margin + n]
         apart = (movement_of(stage, motion, stride) - aim).abs().mean(dim=(0, 2))
         own["arm_speed"], own["arm_acceleration"] = apart
         if first + i:
             below = windows.coarser if i == 0 else made[0]
             own["coarse"] = (resample(level, below.shape[-1]) - below).abs().mean()
             styles = torch.zeros(len(motion), dtype=torch.long)
-            own["detail"] = stage.details[first + i](places, styles)
+            own["detail"] = stage.targets[i].detail(places, styles)
         for name, value in own.items():
             expected[name] += WEIGHTS[name] * float(value.detach())
     report = stage.iterate(0)
@@ -224,14 +227,15 @@ def test_the_learning_rate_falls_to_a_tenth_at_decay_at(stage_of):
 
 
 @pytest.fixture
-def cache(make_config, cache_of):
-    return cache_of(make_config(training={"silence": 0.0}))
+def cache(make_config, batches_of):
+    return batches_of(make_config(training={"silence": 0.0}))
 
 
 def test_random_steps_have_noise_of_each_levels_own_sigma(cache):
     n_frames = next(iter(cache.data.window_lengths()))
     for first in (0, 2):
-        windows = cache.random(cache.data.paired, n_frames, first, 64, rng_for("bank"))
+        cache.first = first
+        windows = cache.random(cache.data.paired, n_frames, 64, rng_for("bank"))
         for i, noise in enumerate(windows.noise):
             sigma = float(cache.noise.sigma[first + i])
             # Shared by all channels, drawn anew for every window and frame.
@@ -255,12 +259,12 @@ def test_windows_of_recordings_begin_anywhere(cache):
 
 
 def test_a_share_of_random_windows_is_silent(cache):
-    n_frames = max(cache.data.window_lengths())
+    n_frames, cache.first = max(cache.data.window_lengths()), 2
     for share in (0.0, 0.3):
         training = replace(cache.config.training, silence=share)
         features = replace(cache.config.features, residual=False)
         cache.config = replace(cache.config, training=training, features=features)
-        windows = cache.random(cache.data.paired, n_frames, 2, 100, rng_for("silent"))
+        windows = cache.random(cache.data.paired, n_frames, 100, rng_for("silent"))
         silent = (windows.conditions[-1] == cache.data.silence[:, :n_frames]).all(dim=(1, 2))
         assert float(silent.float().mean()) == pytest.approx(share, abs=0.1)
 
@@ -268,7 +272,7 @@ def test_a_share_of_random_windows_is_silent(cache):
 def test_reconstruction_has_z_star_at_the_first_level_and_no_noise_above(cache):
     n_frames, members = max(cache.data.window_lengths().items())
     sequences = [cache.data.paired[i] for i in members]
-    windows = cache.paired(sequences, n_frames, 0, 8, rng_for("paired"))
+    windows = cache.paired(sequences, n_frames, 8, rng_for("paired"))
     first, second = windows.noise
     assert second is None
     n_coarsest = first.shape[-1]

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.state import (
+from gesturekit.state.live import AheadPrediction, FeatureWindow, last_bins
+from gesturekit.state.prediction import (
     Regression,
     WantedMovement,
     fast_inputs,
@@ -15,7 +16,6 @@ from gesturekit.state import (
     slow_inputs,
     usual_voice,
 )
-from gesturekit.state.ahead import AheadPrediction, FeatureWindow, last_bins
 
 FPS = 12.5
 

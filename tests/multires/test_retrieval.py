@@ -15,17 +15,15 @@ from speakers import RATE, SETTINGS, assert_played, recording, voice
 import gesturekit as gk
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion import RootPath, quaternion_from_rotation_vector, rotation_angles
-from gesturekit.multires import (
+from gesturekit.multires import load_training_data, train
+from gesturekit.multires.retrieval import (
     PassiveChannels,
     PieceSequence,
     RecordedLibrary,
     RecordedMotion,
-    TrainingState,
-    load_training_data,
     played_pieces,
-    train,
 )
-from gesturekit.multires.training.library import build_library
+from gesturekit.multires.training.state import TrainingState
 from gesturekit.training.seeds import rng_for
 
 # Pieces of whole bodies: 20 frames, of which 4 are a cross-fade from the one before.
@@ -222,7 +220,8 @@ def test_of_a_long_corpus_a_share_of_each_recording_is_kept(
     config = replace(small_config(speakers, tmp_path / "run", SETTINGS), retrieval=retrieval)
     data = load_training_data(config)
     state = TrainingState(data, config)
-    whole, cut = (build_library(data, own, state) for own in (config, replace(config, fps=fps)))
+    whole, state.config = state.library(), replace(config, fps=fps)
+    cut = state.library()
     for own, every, first, n in zip(cut.recordings, whole.recordings, starts, lengths, strict=True):
         for name in ("motion", "passive", "state"):
             assert torch.equal(getattr(own, name), getattr(every, name)[:, first : first + n])

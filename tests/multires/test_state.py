@@ -16,23 +16,12 @@ from small_runs import small_config
 import gesturekit as gk
 from gesturekit.errors import ConfigError, FormatError, ModelError
 from gesturekit.motion import Skeleton
-from gesturekit.multires import (
-    StateTarget,
-    TrainingState,
-    VectorKinematics,
-    load_training_data,
-    losses,
-    train,
-)
-from gesturekit.state import (
-    RecordedState,
-    StateChannels,
-    StateProcess,
-    averaged,
-    load_state,
-    state_tensors,
-    state_values,
-)
+from gesturekit.multires import VectorKinematics, load_training_data, losses, train
+from gesturekit.multires.training.state import TrainingState
+from gesturekit.multires.training.targets import StateTarget
+from gesturekit.state.channels import StateChannels, averaged
+from gesturekit.state.files import load_state, state_tensors, state_values
+from gesturekit.state.process import RecordedState, StateProcess
 
 FPS = 25.0
 HANDS = StateChannels(((1,), (2,)), trunk=3, shoulders=(4, 5))

@@ -11,12 +11,15 @@ from rigs import PERSON, at_rest, rig_of
 import audio_features as af
 import gesturekit as gk
 from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_angles
-from gesturekit.multires import MultiresGenerator, Pyramid
-from gesturekit.multires.sampling.trained_model import clocked_noise
-from gesturekit.multires.streaming.features import SpeechStream
-from gesturekit.multires.streaming.feet import FootHold
-from gesturekit.multires.streaming.levels import WindowLevels
-from gesturekit.multires.streaming.live_state import Forecast, LiveChoice, LiveState
+from gesturekit.multires import MultiresGenerator
+from gesturekit.multires.sampling.trained_model import generated
+from gesturekit.multires.stream import FootHold
+from gesturekit.multires.stream_window import (
+    Forecast,
+    LiveState,
+    SpeechStream,
+    WindowLevels,
+)
 
 RATE = 16_000
 FPS = 30.0
@@ -135,9 +138,9 @@ def test_what_is_to_come_is_not_predicted(state_model):
     speech = np.zeros((2 * around, state_model.conditions.conditioner.dim))
 
     def drawn(value: float, share: float) -> np.ndarray:
-        own = LiveState(process, LiveChoice(seed=1), around)
+        own = LiveState(process, around, (1, 2))
         times, known = np.array([0.0, 0.2]), np.array([1.0, share])
-        own.advance(speech, Forecast(times, known * value, 0.4, known), 0.0)
+        own.advance(speech, Forecast(times, known * value, known, 0.0))
         return own.coming[fast]
 
     higher, usual = drawn(9.0, 0.5), drawn(0.0, 0.5)
@@ -150,11 +153,11 @@ def test_what_was_drawn_for_a_frame_stays_though_more_becomes_known(state_model)
     """A prediction changes the movement to come."""
     fast, around = state_model.state_process.channels.fast, 40
     process = replace(state_model.state_process, explained=np.where(fast, 0.6, 0.0))
-    own, windows, coming = LiveState(process, LiveChoice(seed=1), around), [], []
+    own, windows, coming = LiveState(process, around, (1, 2)), [], []
     for k in range(4):
-        forecast = Forecast(np.array([0.0, 0.2]), np.full(2, float(k % 2)), 0.4, np.ones(2))
+        forecast = Forecast(np.array([0.0, 0.2]), np.full(2, float(k % 2)), np.ones(2), 0.0)
         speech = np.zeros((2 * around, state_model.conditions.conditioner.dim))
-        windows.append(own.advance(speech, forecast, 0.0)[: len(fast)][fast])
+        windows.append(own.advance(speech, forecast)[: len(fast)][fast])
         coming.append(own.coming[fast].copy())
     for before, after in zip(windows, windows[1:], strict=False):
         np.testing.assert_allclose(after[:, :around], before[:, 1 : around + 1])
@@ -179,9 +182,9 @@ def test_levels_of_a_frame_are_those_of_the_whole_window(state_model, film, resi
     speech = rng.standard_normal((64, conditions.conditioner.dim)).astype(np.float32)
     state = rng.standard_normal((conditions.state.width, 64)).astype(np.float32)
     condition = conditions.of_motion(speech, lengths, styles, (), state)
-    sigma = own.noise.sigma.mean(dim=0)[0]
-    noise = clocked_noise(state[None], conditions.state.n_carriers, lengths[0], sigma)
-    whole = Pyramid(own, lengths, condition).from_noise(noise)
+    noise = own.noise.random(own.styles)
+    noises = noise.clocked(state[None], conditions.n_carriers, lengths)
+    whole = generated(own, noises, lengths, condition)
     found = WindowLevels(own, lengths, styles, part)(speech, state=state)
     found = own.normaliser.to_values(found[None])
     np.testing.assert_allclose(found, whole[part.start : part.stop], atol=1e-4)

@@ -7,7 +7,9 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.multires import ArmTarget, DetailTarget, PairedSequence, log_movement
+from gesturekit.multires.kinematics import log_movement
+from gesturekit.multires.training.data import PairedSequence
+from gesturekit.multires.training.targets import ArmTarget, DetailTarget
 
 LEVELS, LEVEL = 4, 3
 

@@ -15,7 +15,8 @@ import gesturekit as gk
 from audio_features import WeightsError
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.multires import LossConfig, Trainer, load_training_data, train
+from gesturekit.multires import LossConfig, load_training_data, train
+from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import dump_yaml, to_dict
 from gesturekit.training.run.folder import Checkpoints
 from gesturekit.training.run.session import session
@@ -111,13 +112,13 @@ def test_clips_shorter_than_a_patch_at_level_1_are_warned_about(
     assert all((fact in caplog.text) is warned for fact in ("1 of 1", "13 frames", "6.7 s"))
 
 
-def test_with_margins_a_whole_clip_continues_in_them_as_in_generation(make_config, cache_of):
+def test_with_margins_a_whole_clip_continues_in_them_as_in_generation(make_config, batches_of):
     config = make_config(training={"window": None, "margins": True, "silence": 0.0})
     data = load_training_data(config)
     (clip,) = data.unpaired
-    cache = cache_of(replace(config, features=None), data)
+    batches = batches_of(replace(config, features=None), data, first=2)
     rng = torch.Generator().manual_seed(0)
-    windows = cache.random(data.paired, clip.shape[-1], 2, 1, rng)
+    windows = batches.random(data.paired, clip.shape[-1], 1, rng)
     margin = config.random_margin
     around = np.pad(clip.numpy(), ((0, 0), (margin, margin)), mode="reflect")
     np.testing.assert_array_equal(windows.conditions[-1][0].numpy(), around)

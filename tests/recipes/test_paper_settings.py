@@ -201,7 +201,6 @@ LABELS = {name: SPEECH[name] for name in SPEECH if name != "styles"} | NO_SPEECH
     "network.levels": (8, "3.2"),
     "noise_levels": (8, "eq. 4: every level; GANimator samples with 1"),
     "network.modulate": ("all", "4"),
-    "training.renew_every": (80, "unused where bank is null"),
 }  # fmt: skip
 GANIMATOR = SPEECH | {
     "features": (None, "no condition"),

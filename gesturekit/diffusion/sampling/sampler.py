@@ -25,7 +25,7 @@ from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
-from gesturekit.state.given import check_drawn
+from gesturekit.state.files import check_drawn
 from gesturekit.training.seeds import rng_for
 
 OVERLAP = 150

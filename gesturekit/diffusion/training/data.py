@@ -19,7 +19,7 @@ from gesturekit.diffusion.trained_model import learnt_tensors, read_learnt
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.state.format import state_values
+from gesturekit.state.files import state_values
 from gesturekit.state.process import StateProcess
 from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray
 from gesturekit.training.data.features import stored_speech

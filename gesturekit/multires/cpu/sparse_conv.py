@@ -25,7 +25,7 @@ from torch import Tensor
 
 from gesturekit.multires.cpu import kernels
 from gesturekit.multires.cpu.kernels import LINE, PADDING, START, TAPS, Plan, Rectifier, Shape
-from gesturekit.multires.network.skeleton_conv import SkeletonConv1d
+from gesturekit.multires.layers import SkeletonConv1d
 
 
 class _Local(threading.local):

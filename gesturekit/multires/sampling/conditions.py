@@ -1,6 +1,6 @@
 """Conditions of each level: speech features and one-hot styles.
 
-`condition_levels` prepares whole windows in a batch, for the window cache and the monitor, and
+`condition_levels` prepares whole windows in a batch, for training and the monitor, and
 `LevelConditions` one tile of a long motion at a time. The residual features of both are equal bit
 for bit. Plain resampled ones differ in the last bit (torch and numpy interpolation).
 """
@@ -20,7 +20,7 @@ import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, style_track
 from gesturekit.errors import ModelError
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.layers import resample
 from gesturekit.state.channels import StateChannels, averaged
 
 _LEVELS = re.compile(r"(\d+)(?:-(\d+))?")
@@ -50,6 +50,11 @@ class Conditions:
         return len(self.styles) + len(self.columns) + n_state
 
     @property
+    def n_carriers(self) -> int:
+        """Number of the carriers of the state of movement, the last channels of a condition."""
+        return 0 if self.state is None else self.state.n_carriers
+
+    @property
     def columns(self) -> list[int]:
         """Columns of the speech features that the network gets.
 
@@ -72,10 +77,27 @@ class Conditions:
         if not speech.shape[1] and not styles and state is None:
             return None
         speeches = [speech[:, self.columns]] * len(lengths)
-        for levels, own in level_speech:
-            speeches[levels.start : levels.stop] = [own[:, self.columns]] * len(levels)
-        n_carriers = 0 if self.state is None else self.state.n_carriers
-        return LevelConditions(speeches, lengths, self.residual, styles, state, n_carriers)
+        for levels, other in level_speech:
+            speeches[levels.start : levels.stop] = [other[:, self.columns]] * len(levels)
+        return LevelConditions(speeches, lengths, self.residual, styles, state, self.n_carriers)
+
+    def of_batch(
+        self, speech: Tensor, lengths: Sequence[int], styles: Tensor, state: np.ndarray | None
+    ) -> list[Tensor]:
+        """Return the condition (B, S + K + C, T_i) of each level of a batch of windows.
+
+        Args:
+            speech: (B, S, T) features at the finest level.
+            lengths: T_i, frames of each level.
+            styles: (B, L) number of the style of each level; not used without styles.
+            state: (B, C, T) of a model with a state of movement.
+        """
+        one_hot = style_levels(styles, len(self.styles), lengths) if self.styles else []
+        states = []
+        if state is not None:
+            levels = (state_level(state, self.n_carriers, n) for n in lengths)
+            states = [torch.from_numpy(level) for level in levels]
+        return condition_levels(speech[:, self.columns], lengths, self.residual, one_hot, states)
 
 
 def level_range(text: str, n_levels: int, name: str, example: str) -> range:
@@ -114,8 +136,8 @@ def condition_levels(
         ]
     else:
         features = [resample(speech, n) for n in lengths]
-    given = [features, *(list(own) for own in (styles, states) if own)]
-    return [torch.cat(parts, dim=1) for parts in zip(*given, strict=True)]
+    given = [features, *(list(inputs) for inputs in (styles, states) if inputs)]
+    return [torch.cat(inputs, dim=1) for inputs in zip(*given, strict=True)]
 
 
 def state_level(
@@ -227,11 +249,6 @@ def mixed_styles(
     return torch.where(torch.arange(levels) < crossover[:, None], coarse[:, None], fine[:, None])
 
 
-def level_track(names: Sequence[str], style: str, n_frames: int, fps: float) -> Tensor:
-    """Return the style of each frame, (K, T); see `style_track`."""
-    return torch.from_numpy(style_track(names, style, n_frames, fps).T.copy())
-
-
 def requested_styles(
     names: Sequence[str],
     controls: MultiresControls,
@@ -260,8 +277,8 @@ def requested_styles(
         style = names[int(torch.randint(len(names), (), generator=rng))]
 
     def with_margins(style: str) -> Tensor:
-        track = level_track(names, style, lengths[-1] - 2 * margin, fps)
-        return F.pad(track[None], (margin, margin), mode="replicate")[0]
+        track = style_track(names, style, lengths[-1] - 2 * margin, fps).T.copy()
+        return F.pad(torch.from_numpy(track)[None], (margin, margin), mode="replicate")[0]
 
     tracks = [with_margins(style)] * len(lengths)
     for text in level_style.split(",") if level_style else ():
@@ -270,4 +287,4 @@ def requested_styles(
             raise ModelError(f"level style {numbers!r} names no style: {_LEVEL_STYLE} does")
         levels = level_range(numbers, len(lengths), "level style", _LEVEL_STYLE)
         tracks[levels.start : levels.stop] = [with_margins(name)] * len(levels)
-    return [resample(own, n)[None] for own, n in zip(tracks, lengths, strict=True)]
+    return [resample(track, n)[None] for track, n in zip(tracks, lengths, strict=True)]

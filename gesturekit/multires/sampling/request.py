@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,14 +14,13 @@ from gesturekit.errors import ModelError
 from gesturekit.formats.tables import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
-from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.constraints.inbetweening import InbetweenClips
-from gesturekit.multires.constraints.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.sampling.conditions import level_range, requested_styles
+from gesturekit.multires.sampling.constraints import InbetweenClips
+from gesturekit.multires.sampling.keyframes import fit_keyframes, full_frames
 from gesturekit.multires.sampling.trained_model import TrainedModel
 from gesturekit.postprocess import Placement
-from gesturekit.state.given import check_drawn, given_state
+from gesturekit.state.files import check_drawn, given_state
 from gesturekit.training.data.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for
 
@@ -34,16 +32,23 @@ _OF_LEVELS = ("levels", "level_style", "level_speech", "keyframes", "like", "kee
 """Controls that a model without levels, which plays recordings, does not take."""
 
 
-@dataclass(frozen=True, eq=False)
 class Request:
     """A request for motions that differ only in their random numbers.
 
-    Attributes:
+    Args:
+        model: the trained model.
         controls: the controls of `generate`, checked.
+        speech: its speech, or None.
+        seconds: length without speech.
+
+    Attributes:
+        controls: see above.
         wave: the speech, or None.
         features: (T + 2 margin, S) speech features; S is 0 for a model without speech input.
+        n_frames: T, without margins.
         margin: frames generated before and after the motion, and cut off.
         lengths: frames of each level, margins included.
+        is_coarse: True if the motion ends with a level that is not the finest.
         skeleton: rig whose bone lengths to use; None for the reference skeleton.
         start: a motion that replaces the output of a coarse level, or None for noise.
         path: the path of the root, T frames at the model's rate, or None.
@@ -51,86 +56,61 @@ class Request:
         level_speech: levels with speech of their own, and its features, shaped as `features`.
         placement: where and how the motion begins and ends.
         state: (T, C) state of movement that is given, or None to draw it.
+
+    Raises:
+        ModelError: controls that cannot be combined, or no length.
+        AudioError, FormatError: a file cannot be read.
     """
 
-    controls: MultiresControls
-    wave: af.Wave | None
-    features: np.ndarray
-    margin: int
-    lengths: list[int]
-    skeleton: Skeleton | None
-    start: Motion | None
-    path: RootPath | None
-    clips: InbetweenClips | None
-    level_speech: tuple[tuple[range, np.ndarray], ...]
-    placement: Placement
-    state: np.ndarray | None
-
-    @classmethod
-    def build(
-        cls,
+    def __init__(
+        self,
         model: TrainedModel,
         controls: MultiresControls,
         speech: str | Path | af.Wave | None,
         seconds: float | None,
-    ) -> Request:
-        """Build a request of a model from the arguments of `generate`.
-
-        Raises:
-            ModelError: controls that cannot be combined, or no length.
-            AudioError, FormatError: a file cannot be read.
-        """
-        fps, n_levels = model.fps, model.network_config.levels
-        conditioner = model.conditions.conditioner
-        read_pose = partial(pose_on_rig, model.representation)
-        fewer_levels = controls["levels"] not in (None, n_levels)
-        _check_combination(controls, fewer_levels)
+    ) -> None:
+        representation, fps = model.representation, model.fps
+        n_levels, conditioner = model.network_config.levels, model.conditions.conditioner
+        self.controls = controls
+        self.is_coarse = controls["levels"] not in (None, n_levels)
+        _check_combination(controls, self.is_coarse)
         start = controls["keyframes"] if controls["like"] is None else controls["like"]
-        if isinstance(start, (str, Path)):
-            start = Motion.load(start)
-        clips = path = None
+        self.start = Motion.load(start) if isinstance(start, str | Path) else start
+        self.clips, path = None, None
         if controls["keep"] is not None:
-            clips = InbetweenClips(controls["keep"], model.representation, fps)
+            self.clips = InbetweenClips(controls["keep"], representation, fps)
         if controls["path"] is not None:
-            path = as_root_path(controls["path"], model.representation.scale)
-        edited = None if controls["keyframes"] is None else start
+            path = as_root_path(controls["path"], representation.scale)
         level = controls["keyframe_level"] - 1
         length_given = speech is not None or seconds is not None
+        edited = None if controls["keyframes"] is None else self.start
         if not length_given:
             if edited is not None:
-                start = fit_keyframes(model.representation, edited, fps, n_levels, level, None)
-            seconds = _own_seconds(fps, start, clips, path)
+                self.start = fit_keyframes(representation, edited, fps, n_levels, level, None)
+            seconds = _own_seconds(fps, self.start, self.clips, path)
         if conditioner is not None and speech is not None and not isinstance(speech, af.Wave):
             speech = af.Wave.load(speech)
+        self.wave = speech if isinstance(speech, af.Wave) else None
         features = speech_features(conditioner, speech, seconds, fps, controls["vad"])
-        n_frames = len(features)
+        self.n_frames = n_frames = len(features)
         if edited is not None and length_given:
-            start = fit_keyframes(model.representation, edited, fps, n_levels, level, n_frames)
-        if controls["like"] is not None and start is not None:
-            _warn_of_held_pose(start, n_frames / fps)
-        if clips is not None:
-            clips.check_end(n_frames)
+            self.start = fit_keyframes(representation, edited, fps, n_levels, level, n_frames)
+        if controls["like"] is not None and self.start is not None:
+            _warn_of_held_pose(self.start, n_frames / fps)
+        if self.clips is not None:
+            self.clips.check_end(n_frames)
         # A coarse level is edited frame by frame, so it gets no frames around it.
-        margin = model.network_config.margin if start is None and not fewer_levels else 0
-        return cls(
-            controls=controls,
-            wave=speech if isinstance(speech, af.Wave) else None,
-            features=_with_margins(features, margin),
-            margin=margin,
-            lengths=af.level_lengths(n_frames + 2 * margin, n_levels),
-            skeleton=None if controls["speaker"] is None else model.speakers[controls["speaker"]],
-            start=start,
-            path=None if path is None else path.resample(fps, n_frames),
-            clips=clips,
-            level_speech=_level_speech(model, controls, n_frames, margin),
-            placement=Placement.of(controls, read_pose, on_path=path is not None),
-            state=_given_state(model, controls, start, n_frames),
-        )
-
-    @property
-    def n_frames(self) -> int:
-        """T, without margins."""
-        return self.lengths[-1] - 2 * self.margin
+        generates = self.start is None and not self.is_coarse
+        self.margin = model.network_config.margin if generates else 0
+        self.features = _with_margins(features, self.margin)
+        self.lengths = af.level_lengths(n_frames + 2 * self.margin, n_levels)
+        speaker = controls["speaker"]
+        self.skeleton = None if speaker is None else model.speakers[speaker]
+        self.path = None if path is None else path.resample(fps, n_frames)
+        self.level_speech = _level_speech(model, controls, n_frames, self.margin)
+        read_pose = partial(pose_on_rig, representation)
+        self.placement = Placement.of(controls, read_pose, on_path=path is not None)
+        self.state = _given_state(model, controls, self.start, n_frames)
 
 
 def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
@@ -146,7 +126,7 @@ def _given_state(
     if model.state_process is None:
         return None
     if state is None and controls["like"] is not None and start is not None:
-        state = model.measured(start)
+        state = model.state(start)
     return None if state is None else given_state(model.state_process, state, n_frames)
 
 
@@ -154,14 +134,14 @@ def _level_speech(
     model: TrainedModel, controls: MultiresControls, n_frames: int, margin: int
 ) -> tuple[tuple[range, np.ndarray], ...]:
     """Return `Request.level_speech`: the end of each speech is cut off, or silence follows it."""
-    found, conditioner = [], model.conditions.conditioner
+    made, conditioner = [], model.conditions.conditioner
     for levels, speech in _level_speech_ranges(controls, model.network_config.levels):
         features = speech_features(conditioner, speech, None, model.fps, controls["vad"])[:n_frames]
         missing = n_frames - len(features)
         if missing and conditioner is not None:
             features = np.concatenate([features, conditioner.silence(missing)])
-        found.append((levels, _with_margins(features, margin)))
-    return tuple(found)
+        made.append((levels, _with_margins(features, margin)))
+    return tuple(made)
 
 
 def _level_speech_ranges(
@@ -215,15 +195,9 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
         if level is not None and not 1 <= level <= levels:
             raise ModelError(f"{which}={level}: the model has levels 1 (coarse) to {levels}")
     check_drawn(controls, model.state_process)
-    _check_levels(controls, model)
-
-
-def _check_levels(controls: MultiresControls, model: TrainedModel) -> None:
-    """Raise ModelError for controls of levels that a model without them does not take."""
-    if model.retrieves:
-        given = [name for name, value in controls.items() if name in _OF_LEVELS and value]
-        if given:
-            raise ModelError(f"{given[0]}: this model plays recordings, without a network's levels")
+    of_levels = [name for name, value in controls.items() if name in _OF_LEVELS and value]
+    if model.retrieves and of_levels:
+        raise ModelError(f"{of_levels[0]}: this model plays recordings, without a network's levels")
 
 
 def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:

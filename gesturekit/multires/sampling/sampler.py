@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,11 @@ from torch import Tensor
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
-from gesturekit.multires.constraints.constraint import fastest_second
-from gesturekit.multires.constraints.inbetweening import InbetweenConstraint
-from gesturekit.multires.constraints.keyframes import (
+from gesturekit.multires.motion_vector import fastest_second
+from gesturekit.multires.retrieval import PieceSequence, played_pieces
+from gesturekit.multires.sampling.conditions import requested_styles
+from gesturekit.multires.sampling.constraints import InbetweenConstraint, PathConstraint
+from gesturekit.multires.sampling.keyframes import (
     KeyframeConstraint,
     keep_unedited,
     level_motion,
@@ -21,11 +24,8 @@ from gesturekit.multires.constraints.keyframes import (
     moved,
     root_through_keyframes,
 )
-from gesturekit.multires.constraints.path import PathConstraint
-from gesturekit.multires.retrieval.library import PieceSequence, played_pieces
-from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.request import Request
-from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel, clocked_noise
+from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.training.seeds import rng_for
 
@@ -48,61 +48,61 @@ class Sampler:
     def __init__(self, model: TrainedModel, request: Request) -> None:
         self.model, self.request = model, request
         self.noise = model.noise.random(model.styles)
-        self.constraint = self._constraint()
+        representation, lengths, margin = model.representation, request.lengths, request.margin
+        self.path: PathConstraint | None = None
+        self.between: InbetweenConstraint | None = None
+        if request.path is not None:
+            path = request.path.scaled(1 / representation.size_of(request.skeleton))
+            steps = np.diff(path.positions, axis=0)
+            self._warn_of_speed("the path", fastest_second(steps, model.fps))
+            path = path.scaled(1 / representation.scale)
+            self.path = PathConstraint(path, representation, model.normaliser, lengths, margin)
+        if request.clips is not None:
+            self._warn_of_speed("between the clips the body", request.clips.fastest_gap())
+            self.between = InbetweenConstraint(request.clips, model.normaliser, lengths, margin)
 
     def motion(self, seed: int, item: str, number: int) -> Motion:
         """Generate the sample of an item with this number."""
-        request = self.request
-        styles = self._styles(seed, item, number)
-        drawn = self._drawn(seed, item, number, styles)
-        condition = None
-        if drawn is not None and self.model.state_process is not None:
-            carriers = rng_for(seed, item, "sample", number, "carriers").initial_seed() >> 1
-            condition = self.model.state_process.condition(carriers, drawn)
-        played = self._played(drawn, seed, item, number, styles)
-        pyramid = Pyramid(
-            self.model,
-            request.lengths,
-            self.model.conditions.of_motion(
-                request.features, request.lengths, styles, request.level_speech, condition
-            ),
-            self.noise,
-            lambda level: rng_for(seed, item, "sample", number, "level", level + 1),
-            None if condition is None else self._clocked(condition),
-        )
-        if request.start is not None:
-            return self._with_passive(self._from_level(pyramid), played)
-        if request.clips is not None:
-            return self._between_clips(pyramid, played)
-        levels = request.controls["levels"]
-        if request.path is None and levels is not None and levels < len(request.lengths):
-            values = self._cropped(pyramid.random(levels=levels))
-            return level_motion(self.model.representation, values, self.model.fps, request.n_frames)
-        if request.path is not None:
-            motion = self._along_path(pyramid)
-        else:
-            output = pyramid.random() if not self.model.retrieves else self._retrieved(played)
-            values = self._cropped(output)
-            motion = self._finished(self._decoded(values), values)
-        return self._with_passive(motion, played)
-
-    def _constraint(self) -> PathConstraint | InbetweenConstraint | None:
-        """Return the constraint on motions from noise; warn if it needs too high a speed."""
         request, model = self.request, self.model
-        if request.path is not None:
-            own = request.path.scaled(1 / model.representation.size_of(request.skeleton))
-            steps = np.diff(own.positions, axis=0)
-            self._warn_of_speed("the path", fastest_second(steps, model.fps))
-            path = own.scaled(1 / model.representation.scale)
-            return PathConstraint(
-                path, model.representation, model.normaliser, request.lengths, request.margin
-            )
-        if request.clips is not None:
-            self._warn_of_speed("between the clips the body", request.clips.fastest_gap())
-            return InbetweenConstraint(
-                request.clips, model.normaliser, request.lengths, request.margin
-            )
-        return None
+
+        def rng_of(*purpose: int | str) -> torch.Generator:
+            return rng_for(seed, item, "sample", number, *purpose)
+
+        styles = self._styles(rng_of("style"))
+        mood_seed = seed if request.controls["mood_seed"] is None else request.controls["mood_seed"]
+        channels = self._channels(rng_for(mood_seed, item, "sample", number, "mood"), styles)
+        state = None
+        if channels is not None and model.state_process is not None:
+            carriers = rng_of("carriers").initial_seed() >> 1
+            state = model.state_process.condition(carriers, channels)
+        condition = model.conditions.of_motion(
+            request.features, request.lengths, styles, request.level_speech, state
+        )
+        pyramid = Pyramid(
+            model,
+            request.lengths,
+            condition,
+            self.noise,
+            lambda level: rng_of("level", level + 1),
+            state,
+        )
+        played = self._played(channels, rng_of, styles)
+        if request.start is not None:
+            motion = self._from_level(pyramid)
+        elif request.clips is not None:
+            motion = self._between_clips(pyramid)
+        elif request.path is not None:
+            motion = self._along_path(pyramid)
+        elif request.is_coarse:
+            values = self._cropped(pyramid.random(levels=request.controls["levels"]))
+            motion = level_motion(model.representation, values, model.fps, request.n_frames)
+        else:
+            output = self._retrieved(played) if model.retrieves else pyramid.random()
+            values = self._cropped(output)
+            motion = self._locked(self._smoothed(self._decoded(values)), values)
+        if not request.is_coarse:
+            motion = self._with_passive(motion, played)
+        return motion if request.clips is None else request.clips.restored(motion)
 
     def _warn_of_speed(self, what: str, speed: float) -> None:
         fastest, stroll = self.model.fastest, _STROLL * self.model.representation.scale
@@ -115,64 +115,45 @@ class Sampler:
                 fastest,
             )
 
-    def _styles(self, seed: int, item: str, number: int) -> list[Tensor]:
+    def _styles(self, rng: torch.Generator) -> list[Tensor]:
         """Return (1, K, T_i) for each level; empty for a model without styles."""
-        request, names = self.request, self.model.styles
+        request, names, fps = self.request, self.model.styles, self.model.fps
         if not names:
             return []
-        rng = rng_for(seed, item, "sample", number, "style")
         return requested_styles(
-            names,
-            request.controls,
-            request.lengths,
-            fps=self.model.fps,
-            rng=rng,
-            margin=request.margin,
+            names, request.controls, request.lengths, fps=fps, rng=rng, margin=request.margin
         )
 
-    def _drawn(self, seed: int, item: str, number: int, styles: list[Tensor]) -> np.ndarray | None:
-        """Return the channels (C, T + 2 margin) of the state of movement; None without."""
+    def _channels(self, rng: torch.Generator, styles: list[Tensor]) -> np.ndarray | None:
+        """Return the channels (C, T + 2 margin) of the state, given or drawn; None without."""
         process, request = self.model.state_process, self.request
         if process is None:
             return None
         controls, margin = request.controls, request.margin
         if request.state is not None:
             return np.pad(request.state.T, ((0, 0), (margin, margin)), mode="edge")
-        own = rng_for(self._mood_seed(seed), item, "sample", number, "mood").initial_seed() >> 1
         return process.draw(
-            own,
+            rng.initial_seed() >> 1,
             request.features.T,
             (controls["speaker"], int(styles[0][0].mean(dim=-1).argmax()) if styles else None),
             first=-margin,
             liveliness=controls["liveliness"],
         )
 
-    def _clocked(self, state: np.ndarray) -> Tensor:
-        """Return the noise of level 1 of a state (C, T + 2 margin)."""
-        assert self.model.state_process is not None
-        n_carriers, n_frames = self.model.state_process.channels.n_carriers, self.request.lengths[0]
-        return clocked_noise(state[None], n_carriers, n_frames, self.noise.sigma[0])
-
-    def _mood_seed(self, seed: int) -> int:
-        mood_seed = self.request.controls["mood_seed"]
-        return seed if mood_seed is None else int(mood_seed)
-
     def _played(
         self,
-        drawn: np.ndarray | None,
-        seed: int,
-        item: str,
-        number: int,
+        channels: np.ndarray | None,
+        rng_of: Callable[..., torch.Generator],
         styles: list[Tensor],
     ) -> PieceSequence | None:
-        """Return the recorded motion for a state (C, T + 2 margin); None if there is none."""
+        """Return the recorded motion for channels (C, T + 2 margin); None if there is none."""
         library, process = self.model.library, self.model.state_process
-        if library is None or process is None or drawn is None:
+        if library is None or process is None or channels is None or self.request.is_coarse:
             return None
         return played_pieces(
             library,
-            process.with_voice(drawn, self.request.features.T),
-            lambda piece: rng_for(seed, item, "sample", number, "piece", piece),
+            process.with_voice(channels, self.request.features.T),
+            lambda piece: rng_of("piece", piece),
             self.request.controls["speaker"],
             styles[-1][0].argmax(dim=0).numpy() if styles else None,
         )
@@ -191,28 +172,27 @@ class Sampler:
             return motion
         n_motion, margin = len(library.recordings[0].motion), self.request.margin
 
-        def values(part: slice) -> Tensor:
-            frames = np.arange(part.start, part.stop) + margin
-            return torch.from_numpy(played.values(frames)[:, n_motion:].T)
+        def values(frames: slice) -> Tensor:
+            shown = np.arange(frames.start, frames.stop) + margin
+            return torch.from_numpy(played.values(shown)[:, n_motion:].T)
 
         return library.passive.applied(motion, values)
 
     def _along_path(self, pyramid: Pyramid) -> Motion:
         """Generate a motion whose root follows the path."""
-        constraint, path = self.constraint, self.request.path
-        assert isinstance(constraint, PathConstraint) and path is not None
-        values = self._cropped(constraint.placed(pyramid.random(constraint=constraint)))
+        path = self.request.path
+        assert self.path is not None and path is not None
+        values = self._cropped(self.path.placed(pyramid.random(constraint=self.path)))
         motion = moved(self.model.representation, self._decoded(values), path.positions[0])
-        return self._finished(motion, values, keep_path=True)
+        return self._locked(self._smoothed(motion), values, keep_path=True)
 
-    def _between_clips(self, pyramid: Pyramid, played: PieceSequence | None) -> Motion:
+    def _between_clips(self, pyramid: Pyramid) -> Motion:
         """Generate the motion before, between and after the given clips."""
         clips = self.request.clips
         assert clips is not None
-        values = self._cropped(pyramid.random(constraint=self.constraint))
+        values = self._cropped(pyramid.random(constraint=self.between))
         given = clips.given(self.request.n_frames)
-        motion = self._finished(clips.placed(values), values, given=given, keep_path=True)
-        return clips.restored(self._with_passive(motion, played))
+        return self._locked(self._smoothed(clips.placed(values)), values, given, keep_path=True)
 
     def _from_level(self, pyramid: Pyramid) -> Motion:
         """Generate the levels above keyframes, or above a motion to redo (`like`)."""
@@ -221,13 +201,13 @@ class Sampler:
         coarse, edited = self._start(pyramid, level)
         if controls["like"] is not None:
             values = pyramid.above(level, coarse)
-            return self._finished(self._decoded(values), values)
+            return self._locked(self._smoothed(self._decoded(values)), values)
         representation = self.model.representation
         constraint = KeyframeConstraint(coarse, edited, representation, self.model.normaliser)
         values = pyramid.above(level, coarse, constraint)
         given = constraint.edited_feet(n_frames)
         free = self._smoothed(self._decoded(values))
-        locked = self._locked(free, values, given=given)
+        locked = self._locked(free, values, given)
         frames = np.asarray(edited.any(axis=1))
         if not frames.any():
             return locked
@@ -235,7 +215,7 @@ class Sampler:
         # path through the keyframes: merely moved along, they slide a fifth faster there.
         wanted = level_motion(representation, coarse, self.model.fps, n_frames)
         motion = root_through_keyframes(representation, free, locked, wanted, frames)
-        return self._locked(motion, values, given=given, keep_path=True)
+        return self._locked(motion, values, given, keep_path=True)
 
     def _start(self, pyramid: Pyramid, level: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the vectors (T_i, D) that replace a level, and (T_i, D) bool where edited."""
@@ -261,17 +241,6 @@ class Sampler:
             values, self.model.fps, skeleton=self.request.skeleton
         )
 
-    def _finished(
-        self,
-        motion: Motion,
-        values: np.ndarray,
-        *,
-        given: np.ndarray | None = None,
-        keep_path: bool = False,
-    ) -> Motion:
-        """Return the motion smoothed and with locked feet; arguments as for `_locked`."""
-        return self._locked(self._smoothed(motion), values, given=given, keep_path=keep_path)
-
     def _smoothed(self, motion: Motion) -> Motion:
         smooth = self.request.controls["smooth"]
         smooth = self.model.smooth if smooth is None else smooth
@@ -281,8 +250,8 @@ class Sampler:
         self,
         motion: Motion,
         values: np.ndarray,
-        *,
         given: np.ndarray | None = None,
+        *,
         keep_path: bool = False,
     ) -> Motion:
         """Return the motion with locked feet, unless foot locking is off.

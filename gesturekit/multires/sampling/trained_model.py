@@ -13,26 +13,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.errors import ModelError
+from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.model import BaseModel, Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.constraints.constraint import Constraint
 from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.layers import resample, resample_part
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.network.generator import LevelGenerator, MultiresGenerator
-from gesturekit.multires.network.resampling import resample, resample_part
-from gesturekit.multires.retrieval.library import RecordedLibrary
+from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
+from gesturekit.multires.retrieval import RecordedLibrary
 from gesturekit.multires.sampling.conditions import Conditions, LevelConditions
-from gesturekit.state.ahead import AheadPrediction
 from gesturekit.state.channels import CARRIERS
+from gesturekit.state.live import AheadPrediction
 from gesturekit.state.process import StateProcess
 from gesturekit.training.data.own_rig import on_rig
 
@@ -61,15 +61,15 @@ class ZStarPatches:
             rng: source of the cuts and of the order.
         """
         rounds: dict[int, Iterator[Tensor]] = {}
-        parts: list[Tensor] = []
+        pieces: list[Tensor] = []
         done = 0
         while done < len(styles):
             style = styles[done]
             if style not in rounds:
                 rounds[style] = self._rounds(self.by_style.get(style, self.all), rng)
-            parts.append(next(rounds[style]))
-            done += parts[-1].shape[-1]
-        return torch.cat(parts, dim=-1)[None, :, : len(styles)]
+            pieces.append(next(rounds[style]))
+            done += pieces[-1].shape[-1]
+        return torch.cat(pieces, dim=-1)[None, :, : len(styles)]
 
     def _rounds(self, z_stars: Sequence[Tensor], rng: torch.Generator) -> Iterator[Tensor]:
         """Yield patches (1 or D, T) without end; each round cuts all of (1 or D, T_1) anew."""
@@ -134,6 +134,16 @@ class RandomNoise:
             assert gaussian is not None
             return gaussian
         return torch.cat([self.patches.draw(row, rng) for row in styles])
+
+    def clocked(
+        self, state: np.ndarray, n_carriers: int, lengths: Sequence[int]
+    ) -> list[Tensor | None]:
+        """Return the noise of states (B, C, T) for levels of these lengths, see `clocked_noise`.
+
+        Finer levels than the first get none.
+        """
+        first = clocked_noise(state, n_carriers, lengths[0], self.sigma[0])
+        return [first, *[None] * (len(lengths) - 1)]
 
 
 def clocked_noise(state: np.ndarray, n_carriers: int, n_frames: int, sigma: Tensor) -> Tensor:
@@ -233,15 +243,25 @@ class TrainedModel(BaseModel):
         return self.library is not None and self.library.is_whole
 
     @torch.no_grad()
-    def measured(self, motion: Motion) -> np.ndarray:
-        """Return the state of movement (T, C) of a motion on any rig, at the model's rate.
+    @gesturekit_errors()
+    def state(self, motion: str | Path | Motion) -> np.ndarray:
+        """Measure the state of movement of a motion: what `generate` takes as `state`.
+
+        Args:
+            motion: a motion or its file; one on another rig is retargeted.
+
+        Returns:
+            (T, C) at the model's frame rate; `state_process.channels.names` names the channels.
 
         Raises:
-            ModelError: a rig that cannot be retargeted.
+            ModelError: a model without a state of movement, or a rig that cannot be retargeted.
+            FormatError: the file cannot be read.
         """
-        assert self.state_process is not None
-        own = on_rig(self.representation, motion.resample(self.fps))
-        values = torch.from_numpy(self.representation.encode(own).T[None]).float()
+        if self.state_process is None:
+            raise ModelError("state: this model was trained without the state of movement")
+        motion = motion if isinstance(motion, Motion) else Motion.load(motion)
+        motion = on_rig(self.representation, motion.resample(self.fps))
+        values = torch.from_numpy(self.representation.encode(motion).T[None]).float()
         places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
         return self.state_process.channels(places, self.fps)[0].T.double().numpy()
 
@@ -262,30 +282,33 @@ class TrainedModel(BaseModel):
 TILE = 2048
 """Frames of a tile, which need about 50 MB; the halo of 16 frames is a small part of it."""
 
+Constraint = Callable[[int, Tensor], Tensor]
+"""constraint(level, output): the normalised output of a level, (1, D, T_i), with the constraint
+applied before the next level adds detail: inpainting in a coarse-to-fine pyramid."""
 Condition = Callable[[int, int, int], Tensor]
 """condition(level, start, stop): (B, S, stop - start), the condition of these frames of a level."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pyramid:
-    """The levels of a trained network, for one motion.
+    """The levels of a trained network, for one motion from random noise.
 
     Attributes:
         model: the trained model.
         lengths: T_i, frames of each level.
         condition: conditions of each level; None for a model without any.
-        noise: of random motions; None if noise is only given.
+        noise: of random motions.
         rng_of: random generator of a level, by its index; a new one at each call.
-        clocked: (1, 1, T_1) noise of level 1 of a model with a state of movement, whose finer
-            levels get none; None to draw noise.
+        state: (C, T) of a model with a state of movement, of which its noise is made; None to
+            draw noise.
     """
 
     model: TrainedModel
     lengths: Sequence[int]
     condition: LevelConditions | None
-    noise: RandomNoise | None = None
-    rng_of: Callable[[int], torch.Generator] | None = None
-    clocked: Tensor | None = None
+    noise: RandomNoise
+    rng_of: Callable[[int], torch.Generator]
+    state: np.ndarray | None
 
     def random(
         self, *, levels: int | None = None, constraint: Constraint | None = None
@@ -296,17 +319,16 @@ class Pyramid:
             ModelError: the output is not finite.
         """
         lengths = self.lengths[:levels]
-        if self.clocked is not None:
-            noises = [self.clocked, *[None] * (len(lengths) - 1)]
-            return self._sampled(noises, lengths, constraint)
-        assert self.noise is not None and self.rng_of is not None
-        first, *finer = self.noise.gaussian(lengths, self.rng_of)
-        first = self.noise.shuffled(first, [self._coarsest_styles()], self.rng_of(0))
-        return self._sampled([first, *finer], lengths, constraint)
-
-    def from_noise(self, noise: Tensor) -> np.ndarray:
-        """Return the output (T, D) of all levels from noise (1, 1 or D, T_1) at the first only."""
-        return self._sampled([noise, *[None] * (len(self.lengths) - 1)], self.lengths)
+        if self.state is not None:
+            n_carriers = self.model.conditions.n_carriers
+            noises = self.noise.clocked(self.state[None], n_carriers, lengths)
+        else:
+            noises = self.noise.gaussian(lengths, self.rng_of)
+            styles = [0] * lengths[0]
+            if self.condition is not None and self.condition.styles:
+                styles = self.condition.styles[0][0].argmax(dim=0).tolist()
+            noises[0] = self.noise.shuffled(noises[0], [styles], self.rng_of(0))
+        return generated(self.model, noises, lengths, self.condition, constraint=constraint)
 
     def above(
         self, level: int, values: np.ndarray, constraint: Constraint | None = None
@@ -321,38 +343,13 @@ class Pyramid:
         Raises:
             ModelError: the output is not finite.
         """
-        coarser = self.model.normaliser.from_values(values)
-        return self._above(level, coarser, self.lengths, constraint)
-
-    def _above(
-        self, level: int, coarser: Tensor, lengths: Sequence[int], constraint: Constraint | None
-    ) -> np.ndarray:
-        """Return the output (T, D) of the last of the levels with these lengths, given `level`."""
-        first, lengths = level + 1, lengths[level + 1 :]
+        first, lengths = level + 1, self.lengths[level + 1 :]
         noises: list[Tensor | None] = [None] * len(lengths)
-        if self.clocked is None:
-            assert self.noise is not None
-            noises = self.noise.gaussian(lengths, self.rng_of or _no_rng, first=first)
-        return self._sampled(noises, lengths, constraint, first=first, coarser=coarser)
-
-    def _coarsest_styles(self) -> list[int]:
-        """Return the number of the style in each frame of the coarsest level, (T_1,)."""
-        if self.condition is None or not self.condition.styles:
-            return [0] * self.lengths[0]
-        return self.condition.styles[0][0].argmax(dim=0).tolist()
-
-    def _sampled(
-        self,
-        noises: Sequence[Tensor | None],
-        lengths: Sequence[int],
-        constraint: Constraint | None = None,
-        *,
-        first: int = 0,
-        coarser: Tensor | None = None,
-    ) -> np.ndarray:
-        """Return the finest of these levels, (T, D) in their own units; see `sample`."""
-        vectors = sample(
-            self.model.network,
+        if self.state is None:
+            noises = self.noise.gaussian(lengths, self.rng_of, first=first)
+        coarser = self.model.normaliser.from_values(values)
+        return generated(
+            self.model,
             noises,
             lengths,
             self.condition,
@@ -360,11 +357,33 @@ class Pyramid:
             coarser=coarser,
             constraint=constraint,
         )
-        return finite(self.model.normaliser.to_values(vectors))
 
 
-def _no_rng(level: int) -> torch.Generator:
-    raise ValueError(f"level {level} draws noise, and no random generator is given")
+def generated(
+    model: TrainedModel,
+    noises: Sequence[Tensor | None],
+    lengths: Sequence[int],
+    condition: LevelConditions | None,
+    *,
+    first: int = 0,
+    coarser: Tensor | None = None,
+    constraint: Constraint | None = None,
+) -> np.ndarray:
+    """Return the finest of these levels of a model, (T, D) in their own units; see `sample`.
+
+    Raises:
+        ModelError: the output is not finite.
+    """
+    vectors = sample(
+        model.network,
+        noises,
+        lengths,
+        condition,
+        first=first,
+        coarser=coarser,
+        constraint=constraint,
+    )
+    return finite(model.normaliser.to_values(vectors))
 
 
 def finite(values: np.ndarray) -> np.ndarray:
@@ -419,8 +438,8 @@ def sample(
                 up = resample_part(coarser, n_frames, begin, end)
                 tile_noise = up.new_zeros(len(up), 1, 1) if noise is None else noise[..., begin:end]
                 given = None if condition is None else condition(i, begin, end)
-                part = level(up, tile_noise, given, backend.convolve)
-                output[..., start:stop] = part[..., start - begin : stop - begin]
+                made = level(up, tile_noise, given, backend.convolve)
+                output[..., start:stop] = made[..., start - begin : stop - begin]
             coarser = output if constraint is None else constraint(i, output)
     return coarser
 

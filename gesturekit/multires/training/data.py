@@ -8,35 +8,234 @@ motion is a sequence.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.network.resampling import reflect
-from gesturekit.multires.retrieval.passive import PassiveChannels
-from gesturekit.multires.sampling.conditions import Conditions, state_level
-from gesturekit.multires.sampling.trained_model import clocked_noise
-from gesturekit.multires.training.sequences import Cut, PairedSequence
-from gesturekit.multires.training.stored import StoredCorpus
+from gesturekit.multires.retrieval import PassiveChannels
+from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.state.channels import StateChannels
-from gesturekit.training.data.arrays import Frames
+from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray, StoredFrames
 from gesturekit.training.data.features import (
     conditioner_tensors,
     conditioner_values,
     load_conditioner,
+    stored_speech,
 )
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
 from gesturekit.training.model_folder import load_data, read_speakers, rig_values, save_data
+from gesturekit.training.seeds import rng_for
+
+Cut = tuple[int, int, int]
+"""Index of a paired sequence, first frame and end."""
+Labels = tuple[str, int, str | None, str]
+"""Name, number of the style, speaker and take of a sequence."""
+_LABELS = ("names", "style_of", "speaker_of", "take_of")
+
+
+@dataclass(frozen=True)
+class PairedSequence:
+    """Recording with speech features, noise and style.
+
+    Attributes:
+        name: id of the manifest item.
+        motion: (D, T) normalised motion vectors.
+        speech: (S, T) features.
+        sigma: (L,) noise scale of each level: RMSE between the level and the upsampled coarser one;
+            RMS at the first level. Recordings on disk share those of the sample.
+        z_star: noise at level 1 from which this recording is reconstructed, (T_1,), or (D, T_1)
+            with separate noise for each channel.
+        passive: (X, T) of the corpus's `PassiveChannels`.
+        style: index among the corpus's styles; 0 without styles.
+        speaker: its speaker; None if the corpus names none.
+        take: its recording session, see `gesturekit.corpus.Item`.
+    """
+
+    TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star", "passive")
+
+    name: str
+    motion: Frames
+    speech: Frames
+    sigma: Tensor
+    z_star: Tensor
+    passive: Frames
+    style: int = 0
+    speaker: str | None = None
+    take: str = ""
+
+    @property
+    def n_frames(self) -> int:
+        """Return T, at the full rate."""
+        return self.motion.shape[-1]
+
+    @classmethod
+    def make(
+        cls,
+        name: str,
+        motion: Frames,
+        speech: Frames,
+        levels: int,
+        seed: int,
+        *,
+        full_noise: bool = False,
+        sigma: Tensor | None = None,
+        **about: Any,
+    ) -> PairedSequence:
+        """Make a sequence; its noise depends on the seed and the name only.
+
+        `sigma` (L,) is computed from the motion if it is None; `about` are other fields.
+        """
+        if sigma is None:
+            sigma = level_sigmas(motion[:, :][None], levels)
+        channels, n_frames = motion.shape
+        n_coarsest = af.level_lengths(n_frames, levels)[0]
+        rng = rng_for(seed, "z_star", name)
+        if full_noise:
+            noise = torch.randn(channels, n_coarsest, generator=rng)
+        else:
+            noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
+        about = {"passive": torch.empty(0, n_frames), **about}
+        return cls(name, motion, speech, sigma, noise, **about)
+
+    def cut(self, start: int, stop: int) -> PairedSequence:
+        """Return frames `start` to `stop` in memory, with their part of z*."""
+        frames = slice(start, stop)
+        n_coarsest = af.level_lengths(stop - start, len(self.sigma))[0]
+        z_star = self.z_star_window(start, n_coarsest)
+        return replace(
+            self,
+            name=f"{self.name}[{start}:{stop}]",
+            motion=self.motion[:, frames].contiguous(),
+            speech=self.speech[:, frames].contiguous(),
+            z_star=z_star if self.z_star.ndim > 1 else z_star[0],
+            passive=self.passive[:, frames].contiguous(),
+        )
+
+    def z_star_window(self, start: int, n_coarsest: int) -> Tensor:
+        """Return the noise (1 or D, T_1) of the window that starts at this full-rate frame."""
+        noise = self.z_star.reshape(-1, self.z_star.shape[-1])
+        first = round(start * noise.shape[-1] / self.n_frames)
+        first = max(0, min(first, noise.shape[-1] - n_coarsest))
+        window = noise[:, first : first + n_coarsest]
+        # A window as long as its sequence may come out one coarse frame longer by rounding.
+        return resample(window, n_coarsest)
+
+
+def level_sigmas(motion: Tensor, levels: int) -> Tensor:
+    """Return sigma_i of all levels (L,) for a normalised motion (1, D, T)."""
+    lengths = af.level_lengths(motion.shape[-1], levels)
+    pyramid = [resample(motion, n) for n in lengths]
+    sigmas = [pyramid[0].square().mean().sqrt()]
+    for coarse, fine in zip(pyramid, pyramid[1:], strict=False):
+        sigmas.append((fine - resample(coarse, fine.shape[-1])).square().mean().sqrt())
+    return torch.stack(sigmas)
+
+
+def paired_sequences(
+    config: MultiresConfig,
+    labels: Sequence[Labels],
+    motions: Sequence[Frames],
+    speeches: Sequence[Frames],
+    passives: Sequence[Frames],
+    sigma: Tensor | None = None,
+) -> tuple[PairedSequence, ...]:
+    """Return recordings as long as the shorter of motion and speech; see `PairedSequence`."""
+    paired = []
+    for label, motion, speech, passive in zip(labels, motions, speeches, passives, strict=True):
+        n_frames = min(motion.shape[1], speech.shape[1])
+        name, style, speaker, take = label
+        sequence = PairedSequence.make(
+            name,
+            _first(motion, n_frames),
+            _first(speech, n_frames),
+            config.network.levels,
+            config.seed,
+            full_noise=config.z_star == "full",
+            sigma=sigma,
+            passive=_first(passive, n_frames),
+            style=style,
+            speaker=speaker,
+            take=take,
+        )
+        paired.append(sequence)
+    return tuple(paired)
+
+
+def _first(frames: Frames, n_frames: int) -> Frames:
+    """Return the first frames (C, n_frames)."""
+    if frames.shape[1] == n_frames:
+        return frames
+    if isinstance(frames, StoredFrames):
+        return frames.first(n_frames)
+    return frames[:, :n_frames].contiguous()
+
+
+def stored_motion(array: StoredArray, normaliser: Normaliser) -> tuple[StoredFrames, StoredFrames]:
+    """Return normalised motion (D, T) and passive channels (X, T) of an array (T, D + X)."""
+    width, (n_frames, columns) = len(normaliser.mean), array.shape
+
+    def motion(rows: np.ndarray) -> Tensor:
+        return normaliser.forward(transposed(rows[:, :width])[None])[0]
+
+    def passive(rows: np.ndarray) -> Tensor:
+        return transposed(rows[:, width:])
+
+    return (
+        StoredFrames(array, (width, n_frames), motion),
+        StoredFrames(array, (columns - width, n_frames), passive),
+    )
+
+
+def transposed(rows: np.ndarray) -> Tensor:
+    """Return (T, C) as a contiguous (C, T) tensor."""
+    return torch.from_numpy(np.ascontiguousarray(rows.T))
+
+
+def stored_sequences(
+    config: MultiresConfig,
+    keys: Mapping[str, Sequence[str]],
+    labels: Sequence[Labels],
+    normaliser: Normaliser,
+    conditioner: SpeechConditioner | None,
+    sigma: Tensor,
+) -> tuple[tuple[PairedSequence, ...], tuple[StoredFrames, ...]]:
+    """Return recordings on disk, and speech without motion (S, T); neither is read yet.
+
+    Args:
+        config: of the run.
+        keys: names of the arrays in their folder, of `motion`, `speech` and `unpaired` speech.
+        labels: of each recording.
+        normaliser: of motion vectors.
+        conditioner: of speech features; None without speech input.
+        sigma: (L,) noise scales of all sequences.
+
+    Raises:
+        ConfigError: an array is missing or not whole.
+    """
+    folder = ArrayFolder(config.arrays_folder)
+    arrays = {kind: folder.find_all(names) for kind, names in keys.items()}
+    lengths = [array.shape[0] for array in arrays["motion"]]
+    speeches: Sequence[Frames] = [torch.empty(0, n_frames) for n_frames in lengths]
+    unpaired: Sequence[StoredFrames] = ()
+    if conditioner is not None:
+        speeches = stored_speech(arrays["speech"], conditioner, lengths)
+        unpaired = stored_speech(arrays["unpaired"], conditioner)
+    pairs = [stored_motion(array, normaliser) for array in arrays["motion"]]
+    motions, passives = zip(*pairs)
+    paired = paired_sequences(config, labels, motions, speeches, passives, sigma)
+    return paired, tuple(unpaired)
 
 
 @dataclass(frozen=True)
@@ -47,18 +246,17 @@ class TrainingData:
         paired: recordings with motion.
         unpaired: (S, T) speech without motion; that of `paired` if the corpus has none.
         silence: (S, T) speech features of silence, as long as the longest motion of a step.
+        window: frames of a training window; None for whole sequences.
         conditioner: converts waves to speech features; None without speech input.
         styles: names of the styles, in alphabetical order; empty outside label mode. A model to
             start from may have more styles than the recordings.
         speakers: reference skeleton of each named speaker.
-        window: frames of a training window; None for whole sequences.
         sources: recordings from which `paired` was read.
         recorded_fps: most common frame rate of the recordings.
         passive: joints and face channels that are played but not modelled; none without `state`.
         start: weights of the generators to start from, by name; empty for random ones.
         spoken: seconds and number of the sounds without motion.
         sampled: parts of `paired` from which statistics are computed; None for all of it.
-        stored: of recordings on disk, what `load` finds them by.
     """
 
     paired: tuple[PairedSequence, ...]
@@ -70,24 +268,34 @@ class TrainingData:
     styles: tuple[str, ...]
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
-    unpaired_is_paired: bool
     sources: tuple[TrainedSegment, ...]
     recorded_fps: float
     passive: PassiveChannels
     start: Mapping[str, Tensor]
     spoken: tuple[float, int]
     sampled: tuple[Cut, ...] | None = None
-    stored: StoredCorpus | None = None
+
+    @property
+    def unpaired_is_paired(self) -> bool:
+        """Return True if the corpus has no unpaired speech for a model with speech input."""
+        return self.n_speech > 0 and self.unpaired[0] is self.paired[0].speech
+
+    @property
+    def is_stored(self) -> bool:
+        """Return True if the recordings are arrays on disk."""
+        return isinstance(self.paired[0].motion, StoredFrames)
+
+    @property
+    def seconds(self) -> float:
+        """Return the length of all recordings."""
+        return sum(source.duration for source in self.sources)
 
     @cached_property
     def sample(self) -> tuple[PairedSequence, ...]:
         """Return recordings or parts of them, in memory, from which statistics are computed."""
-        cuts = self.sampled
-        if cuts is None and self.stored is None:
+        if self.sampled is None:
             return self.paired
-        if cuts is None:
-            cuts = tuple((i, 0, sequence.n_frames) for i, sequence in enumerate(self.paired))
-        return tuple(self.paired[i].cut(start, stop) for i, start, stop in cuts)
+        return tuple(self.paired[i].cut(start, stop) for i, start, stop in self.sampled)
 
     def save(self, folder: Path) -> None:
         """Write the data into a folder, from which a resumed run loads it."""
@@ -98,29 +306,35 @@ class TrainingData:
             **conditioner_tensors(self.conditioner),
             **start_tensors(self.start),
         }
-        if self.stored is None:
+        unpaired = () if self.unpaired_is_paired else self.unpaired
+        stored = None
+        if self.is_stored:
+            tensors["sigma"] = self.paired[0].sigma
+            stored = {
+                "motion": [_key(sequence.motion) for sequence in self.paired],
+                "speech": [_key(sequence.speech) for sequence in self.paired if self.n_speech],
+                "unpaired": [_key(clip) for clip in unpaired if self.n_speech],
+            }
+        else:
             for i, sequence in enumerate(self.paired):
                 for name in PairedSequence.TENSORS:
                     tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
-            if not self.unpaired_is_paired:
-                tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(self.unpaired)}
-        else:
-            tensors["sigma"] = self.paired[0].sigma
+            tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(unpaired)}
         about = {
             "names": [sequence.name for sequence in self.paired],
-            "unpaired": 0 if self.unpaired_is_paired else len(self.unpaired),
+            "unpaired": len(unpaired),
             "features": None if self.conditioner is None else conditioner_values(self.conditioner),
-            "styles": list(self.styles),
+            "styles": self.styles,
             "style_of": [sequence.style for sequence in self.paired],
             "speaker_of": [sequence.speaker for sequence in self.paired],
             "take_of": [sequence.take for sequence in self.paired],
             "sources": to_values(self.sources),
             "window": self.window,
             "recorded_fps": self.recorded_fps,
-            "passive": [list(self.passive.joints), self.passive.expressions],
+            "passive": [self.passive.joints, self.passive.expressions],
             "spoken": self.spoken,
             "sampled": self.sampled,
-            "stored": None if self.stored is None else asdict(self.stored),
+            "stored": stored,
             **rig_values(self.representation, self.speakers),
         }
         save_data(folder, tensors, about)
@@ -134,52 +348,49 @@ class TrainingData:
             WeightsError: the WavLM weights differ from those at the start of the run.
         """
 
-        def assemble(about: dict[str, Any], tensors: dict[str, Any]) -> TrainingData:
-            joints, expressions = about["passive"]
+        def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             skeleton = Skeleton.from_json(about["skeleton"])
-            representation = MultiresRepresentation.from_json(skeleton, about["motion"])
             normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
             conditioner = None
             if config.features is not None:
                 places = config.features.encoder_places
-                about_features = about["features"]
-                conditioner = load_conditioner(about_features, tensors, config.fps, places, device)
-            names = ("names", "style_of", "speaker_of", "take_of")
-            labels = list(zip(*(about[key] for key in names), strict=True))
-            stored = None
+                conditioner = load_conditioner(
+                    about["features"], tensors, config.fps, places, device
+                )
+            labels = list(zip(*(about[key] for key in _LABELS), strict=True))
+            unpaired: Sequence[Frames]
             if about["stored"] is None:
+                curves = (
+                    {part: tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS}
+                    for i in range(len(labels))
+                )
                 paired = tuple(
-                    PairedSequence(
-                        name,
-                        *[tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS],
-                        *others,
-                    )
-                    for i, (name, *others) in enumerate(labels)
+                    PairedSequence(name=name, style=style, speaker=speaker, take=take, **frames)
+                    for (name, style, speaker, take), frames in zip(labels, curves, strict=True)
                 )
-                unpaired = tuple(tensors[f"unpaired.{i}"] for i in range(about["unpaired"]))
+                unpaired = [tensors[f"unpaired.{i}"] for i in range(about["unpaired"])]
             else:
-                stored = StoredCorpus(**about["stored"])
-                paired, unpaired = stored.sequences(
-                    config, labels, normaliser, conditioner, tensors["sigma"]
+                paired, unpaired = stored_sequences(
+                    config, about["stored"], labels, normaliser, conditioner, tensors["sigma"]
                 )
+            joints, expressions = about["passive"]
+            sampled = about["sampled"]
             return cls(
                 paired=paired,
-                unpaired=unpaired or tuple(sequence.speech for sequence in paired),
+                unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
                 silence=tensors["silence"],
                 window=about["window"],
-                representation=representation,
+                representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
                 conditioner=conditioner,
                 styles=tuple(about["styles"]),
                 normaliser=normaliser,
                 speakers=read_speakers(about),
-                unpaired_is_paired=config.features is not None and not unpaired,
                 sources=from_values(about["sources"]),
                 recorded_fps=about["recorded_fps"],
                 passive=PassiveChannels(tuple(joints), expressions),
                 start=read_start(tensors),
                 spoken=tuple(about["spoken"]),
-                sampled=_cuts(about["sampled"]),
-                stored=stored,
+                sampled=None if sampled is None else tuple(map(tuple, sampled)),
             )
 
         return load_data(folder, assemble)
@@ -198,22 +409,6 @@ class TrainingData:
     def state_channels(self) -> StateChannels:
         """Return the channels of the state of movement of the rig."""
         return StateChannels.find(self.representation.skeleton, self.representation.joints)
-
-    def state_levels(self, state: np.ndarray, lengths: Sequence[int]) -> list[Tensor]:
-        """Return the states (N, C, T_i) of each level from those of N windows, (N, C, T)."""
-        n_carriers = self.state_channels.n_carriers
-        return [torch.from_numpy(state_level(state, n_carriers, n)) for n in lengths]
-
-    def clocked_noises(
-        self, state: np.ndarray, lengths: Sequence[int], sigma: Tensor
-    ) -> list[Tensor | None]:
-        """Return the noise of states (N, C, T): that of level 1 alone, see `clocked_noise`.
-
-        `sigma` (L,) is the noise scale of each level.
-        """
-        n_carriers = self.state_channels.n_carriers
-        first = clocked_noise(state, n_carriers, lengths[0], sigma[0])
-        return [first, *[None] * (len(lengths) - 1)]
 
     @property
     def own_lengths(self) -> bool:
@@ -260,17 +455,18 @@ class TrainingData:
         missing = n_frames + 2 * margin
         if not self.n_speech:
             return torch.empty(0, missing)
-        parts = []
+        pieces = []
         while missing:
             which = int(torch.multinomial(self._unpaired_frames, 1, generator=rng))
             clip = self.unpaired[which]
             slack = max(0, clip.shape[-1] - missing)
             start = int(torch.randint(slack + 1, (), generator=rng))
-            parts.append(clip[:, start : start + missing])
-            missing -= parts[-1].shape[-1]
-        return torch.cat(parts, dim=-1)
+            pieces.append(clip[:, start : start + missing])
+            missing -= pieces[-1].shape[-1]
+        return torch.cat(pieces, dim=-1)
 
 
-def _cuts(values: Sequence[Sequence[int]] | None) -> tuple[Cut, ...] | None:
-    """Return the inverse of their plain values."""
-    return None if values is None else tuple((i, start, stop) for i, start, stop in values)
+def _key(frames: Frames) -> str:
+    """Return the name of the array of a recording on disk."""
+    assert isinstance(frames, StoredFrames)
+    return frames.array.path.stem

@@ -15,13 +15,11 @@ import audio_features as af
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.network.resampling import resample
-from gesturekit.multires.network.skeleton_conv import Convolve, convolve_dense
-from gesturekit.multires.sampling.conditions import condition_levels, style_levels
+from gesturekit.multires.layers import Convolve, convolve_dense, resample
+from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
-from gesturekit.multires.training.window_cache import random_noise
+from gesturekit.multires.training.windows import random_noise
 from gesturekit.training.seeds import rng_for
 
 MAX_EXCERPTS = 4
@@ -102,19 +100,16 @@ class Monitor:
         device = next(network.parameters()).device
         sequence, n_frames = self.excerpts[number]
         lengths = af.level_lengths(n_frames, self.config.network.levels)
-        whole, styles = sequence.speech[:, :n_frames][None], []
-        if self.data.styles:
-            same = torch.full((1, len(lengths)), sequence.style)
-            styles = style_levels(same, len(self.data.styles), lengths)
-        speech = whole[:, self.data.conditions(self.config).columns]
-        rng, states = rng_for(self.config.seed, "monitor", number), []
+        speech = sequence.speech[:, :n_frames][None]
+        rng, state = rng_for(self.config.seed, "monitor", number), None
         noises = self.noise.gaussian(lengths[:levels], lambda _: rng)
         noises[0] = self.noise.shuffled(noises[0], [[sequence.style] * lengths[0]], rng)
+        given = self.data.conditions(self.config)
         if self.state is not None:
-            state = self.state.drawn(whole[0], sequence.style, rng)
-            states = self.data.state_levels(state, lengths)
-            noises = self.data.clocked_noises(state, lengths[:levels], self.noise.sigma)
-        conditions = condition_levels(speech, lengths, self.config.residual, styles, states)
+            state = self.state.drawn(speech[0], sequence.style, rng)
+            noises = self.noise.clocked(state, given.n_carriers, lengths[:levels])
+        styles = torch.full((1, len(lengths)), sequence.style)
+        conditions = given.of_batch(speech, lengths, styles, state)
         output = network(
             [None if noise is None else noise.to(device) for noise in noises],
             [level.to(device) for level in conditions[:levels]],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import audio_features as af
@@ -11,7 +12,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.generator import modulated_blocks
+from gesturekit.multires.networks import modulated_blocks
 from gesturekit.training.config import to_dict
 from gesturekit.training.data.features import conditioner_values, feature_values
 from gesturekit.training.data.start_model import (
@@ -38,52 +39,44 @@ def load_start(config: MultiresConfig, extractor: af.Extractor | None) -> Multir
         return None
     weights = None if config.features is None else config.features.encoder_places
     start = MultiresModel.load(model_of(folder), weights=weights)
-    check_settings("start_from", folder, _known_settings(start), _wanted_settings(config))
-    conditions = start.conditions
-    known, wanted = None, None
-    if conditions.conditioner is not None:
-        known = {**conditioner_values(conditions.conditioner), "residual": conditions.residual}
-    if extractor is not None and config.features is not None:
-        wanted = {**feature_values(extractor, config.features), "residual": config.residual}
-    check_conditions(folder, {"features": known}, {"features": wanted})
-    if conditions.conditioner is not None and conditions.conditioner.effort:
-        # The state of movement hides columns of vocal effort from the network.
-        known, wanted = (
-            {"state": "on" if hidden else "off"}
-            for hidden in (
-                conditions.state is not None,
-                config.state,
-            )
-        )
-        check_settings("start_from", folder, known, wanted)
-    if conditions.state is not None or not conditions.width:
-        known, wanted = {"state": conditions.state is not None}, {"state": config.state}
-        check_settings("start_from", folder, known, wanted)
-    return start
-
-
-def _known_settings(start: MultiresModel) -> dict[str, Any]:
-    """Return the settings of a model that a run must have too."""
-    return {
+    known = {
         "fps": start.fps,
         "normalise": bool(start.normaliser.mean.any()),
         "contact_threshold": start.representation.contact_speed,
         **_network(start.network_config),
     }
-
-
-def _wanted_settings(config: MultiresConfig) -> dict[str, Any]:
-    """Return the same settings of a run."""
-    return {
+    wanted = {
         "fps": config.fps,
         "normalise": config.normalise,
         "contact_threshold": config.contact_threshold,
         **_network(config.network),
     }
+    check_settings("start_from", folder, known, wanted)
+    _check_inputs(start, config, extractor, folder)
+    return start
 
 
 def _network(config: NetworkConfig) -> dict[str, Any]:
     return {f"network.{name}": value for name, value in to_dict(config).items()}
+
+
+def _check_inputs(
+    start: MultiresModel, config: MultiresConfig, extractor: af.Extractor | None, folder: Path
+) -> None:
+    """Raise ConfigError if a model has other inputs than a run."""
+    conditions = start.conditions
+    conditioner, has_state = conditions.conditioner, conditions.state is not None
+    known, wanted = None, None
+    if conditioner is not None:
+        known = {**conditioner_values(conditioner), "residual": conditions.residual}
+    if extractor is not None and config.features is not None:
+        wanted = {**feature_values(extractor, config.features), "residual": config.residual}
+    check_conditions(folder, {"features": known}, {"features": wanted})
+    # A model without a state may get one, unless the state hides columns of vocal effort from
+    # the network, or the network has no layer for a condition.
+    hides = conditioner is not None and bool(conditioner.effort)
+    if hides or has_state or not conditions.width:
+        check_settings("start_from", folder, {"state": has_state}, {"state": config.state})
 
 
 def check_styles(
@@ -110,15 +103,15 @@ def representation_on_bones_of(
     folder, known = config.start_from, start.representation
     assert folder is not None
     check_rig("start_from", folder, known.skeleton, motions[0].skeleton, config.corpus)
-    own = known.on_bones_of(motions)
+    wanted = known.on_bones_of(motions)
     for what, joints in (("feet", _feet), ("upper body", _modulated)):
-        before, now = joints(known, config), joints(own, config)
+        before, now = joints(known, config), joints(wanted, config)
         if before != now:
             raise ConfigError(
                 f"start_from: {folder} has {what} {before}, {config.corpus} {now}; name the parts "
                 "of the rig by hand (parts: {left_knee: JOINT, ...})"
             )
-    return own
+    return wanted
 
 
 def _feet(representation: MultiresRepresentation, _: MultiresConfig) -> list[str]:

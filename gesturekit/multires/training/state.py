@@ -1,4 +1,4 @@
-"""State of movement in training: measured in recordings, drawn for random steps, held by a loss.
+"""State of movement in training: measured in recordings, drawn for random steps.
 
 The state of a random step is new for each window, see `TrainingState.random`. A recording's
 carriers, and the noise of level 1 that is made of them, are always the same, as its z* is.
@@ -6,33 +6,33 @@ carriers, and the noise of level 1 that is made of them, are always the same, as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 import audio_features as af
-from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.network.resampling import resample
+from gesturekit.multires.retrieval import RecordedLibrary, RecordedMotion
 from gesturekit.multires.sampling.conditions import style_levels
-from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel, clocked_noise
-from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.sequences import PairedSequence
-from gesturekit.state.channels import averaged
+from gesturekit.multires.sampling.trained_model import TrainedModel, generated
+from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.state.process import RecordedState, StateProcess
 from gesturekit.training.seeds import rng_for
 
-_LEAST_FRAMES = 4
-"""Frames of a recording at a level from which its state is measured there."""
 _RECORDED, _LIVELINESS = 0.5, 0.3
 """Share of recorded states in random steps, and the most that is added to or taken from their
 movement, see `TrainingState.random`."""
 _CALIBRATIONS, _CALIBRATION_SECONDS = 4, 180.0
 """Rounds of calibration, and the seconds of motion that each makes."""
+_MOST_SECONDS, _MOST_PASSIVE_SECONDS = 1200.0, 300.0
+"""Seconds of recorded motion in a model: whole bodies, or fingers and faces. Of more, the same
+share of each recording is kept."""
+_LEAST_SECONDS = 4.0
+"""Seconds of each recording that are kept at least: the length of a piece."""
 
 
 class TrainingState:
@@ -47,7 +47,7 @@ class TrainingState:
     """
 
     def __init__(self, data: TrainingData, config: MultiresConfig) -> None:
-        self.data, self.seed = data, config.seed
+        self.data, self.config = data, config
         self._kinematics = VectorKinematics(data.representation, config.fps, arms=False)
         self._values = {sequence.name: self._measured(sequence) for sequence in data.sample}
         recordings = [
@@ -66,16 +66,11 @@ class TrainingState:
     def recorded(self, sequence: PairedSequence) -> np.ndarray:
         """Return the condition (C, T) of a recording."""
         if sequence.name not in self._recorded:
-            seed = rng_for(self.seed, "carriers", sequence.name).initial_seed() >> 1
+            seed = rng_for(self.config.seed, "carriers", sequence.name).initial_seed() >> 1
             values = self._values.get(sequence.name)
             values = self._measured(sequence) if values is None else values
             self._recorded[sequence.name] = self.process.condition(seed, values)
         return self._recorded[sequence.name]
-
-    def with_voice(self, sequence: PairedSequence) -> np.ndarray:
-        """Return the channels of a recording and its voice activity, (C + 1, T)."""
-        speech = sequence.speech[:, :].numpy()
-        return self.process.with_voice(self._values[sequence.name], speech)
 
     def drawn(self, speech: Tensor, style: int, rng: torch.Generator) -> np.ndarray:
         """Return the condition (1, C, T) of a motion to speech (S, T), as in generation."""
@@ -108,9 +103,9 @@ class TrainingState:
     def _window(self, n_frames: int, style: int, rng: torch.Generator) -> np.ndarray | None:
         """Return recorded channels (C, n_frames) of a style; None if no recording is as long."""
         known = [
-            self._values[own.name]
-            for own in self.data.sample
-            if own.n_frames >= n_frames and (not self.data.styles or own.style == style)
+            self._values[sequence.name]
+            for sequence in self.data.sample
+            if sequence.n_frames >= n_frames and (not self.data.styles or sequence.style == style)
         ]
         if not known:
             return None
@@ -126,7 +121,7 @@ class TrainingState:
             seconds, pairs = 0.0, list[tuple[np.ndarray, np.ndarray]]()
             for sequence in cycle(self.data.sample):
                 key = ("calibration", number, len(pairs))
-                seed = rng_for(self.seed, *key).initial_seed() >> 1
+                seed = rng_for(self.config.seed, *key).initial_seed() >> 1
                 speech = sequence.speech[:, :].numpy()
                 style = sequence.style if self.data.styles else None
                 drawn = process.draw(seed, speech, (sequence.speaker, style))
@@ -139,6 +134,33 @@ class TrainingState:
             process = process.calibrated(wanted, shown)
         return process
 
+    def library(self) -> RecordedLibrary | None:
+        """Return what a model plays; None if its network makes all that moves in the recordings."""
+        data, config = self.data, self.config
+        if data.passive.is_empty and not config.retrieval:
+            return None
+        total = sum(sequence.n_frames for sequence in data.sample) / config.fps
+        most = _MOST_SECONDS if config.retrieval else _MOST_PASSIVE_SECONDS
+        recordings = []
+        for sequence in data.sample:
+            share = round(sequence.n_frames * min(1.0, most / total))
+            n_frames = min(sequence.n_frames, max(share, round(_LEAST_SECONDS * config.fps)))
+            start = (sequence.n_frames - n_frames) // 2
+            frames = slice(start, start + n_frames)
+            speech = sequence.speech[:, :].numpy()
+            state = self.process.with_voice(self._values[sequence.name], speech)[:, frames]
+            motion = sequence.motion[:, frames].contiguous()
+            recordings.append(
+                RecordedMotion(
+                    state=torch.from_numpy(state.astype(np.float32)),
+                    motion=motion if config.retrieval else motion[:0],
+                    passive=sequence.passive[:, frames].contiguous(),
+                    speaker=sequence.speaker,
+                    style=sequence.style,
+                )
+            )
+        return RecordedLibrary(config.fps, data.passive, tuple(recordings))
+
     @torch.no_grad()
     def _made(
         self, model: TrainedModel, state: np.ndarray, speech: np.ndarray, style: int | None
@@ -149,10 +171,10 @@ class TrainingState:
         if style is not None:
             numbers = torch.full((1, len(lengths)), style)
             styles = style_levels(numbers, len(model.styles), lengths)
-        sigma = model.noise.sigma.mean(dim=0)[0]
-        noise = clocked_noise(state[None], self.process.channels.n_carriers, lengths[0], sigma)
+        noise = model.noise.random(model.styles)
+        noises = noise.clocked(state[None], model.conditions.n_carriers, lengths)
         condition = model.conditions.of_motion(speech.T, lengths, styles, (), state)
-        values = Pyramid(model, lengths, condition).from_noise(noise)
+        values = generated(model, noises, lengths, condition)
         return self._channels(torch.from_numpy(values.T[None]).float())
 
     @torch.no_grad()
@@ -164,82 +186,3 @@ class TrainingState:
         """Return the channels (C, T) of motion vectors (1, D, T)."""
         places = self._kinematics.places(values)
         return self.data.state_channels(places, self._kinematics.fps)[0].double().numpy()
-
-
-class StateTarget(nn.Module):
-    """State of movement that a level should show, given the state of the whole motion.
-
-    A coarse level moves less than the finest one, and shows little of the fast movement: a line for
-    each channel, fitted to the recordings, tells what it shows, and the share of the variance that
-    the line explains tells how much the channel counts there.
-
-    Args:
-        state: of the recordings.
-        level: index of the level.
-        levels: L.
-        places: converts normalised motion (B, D, T) to joint positions (B, K, 3, T), metres.
-    """
-
-    line: Tensor
-    weight: Tensor
-
-    def __init__(
-        self, state: TrainingState, level: int, levels: int, places: Callable[[Tensor], Tensor]
-    ) -> None:
-        super().__init__()
-        self.channels, fps = state.process.channels, state.process.fps
-        self.fps = fps
-        given, shown = [], []
-        for sequence in state.data.sample:
-            n_frames = af.level_lengths(sequence.n_frames, levels)[level]
-            if n_frames < _LEAST_FRAMES:
-                continue
-            self.fps = fps * n_frames / sequence.n_frames
-            own = averaged(state.recorded(sequence)[: len(self.channels.names)], n_frames)
-            given.append(torch.from_numpy(own))
-            motion = resample(sequence.motion[:, :][None], n_frames)
-            shown.append(self.channels(places(motion).cpu(), self.fps)[0])
-        if not given:  # nothing is asked of levels of so few frames
-            given = shown = [torch.zeros(len(self.channels.names), _LEAST_FRAMES)]
-        self.register_buffer("line", torch.from_numpy(_lines(given, shown)).float()[..., None])
-        slope, _, size = self.line
-        counts = torch.from_numpy(self.channels.counts).float()[:, None]
-        together = torch.cat(given, dim=1)
-        explained = (slope * together.std(dim=1, keepdim=True) / size).square().clamp(max=1.0)
-        self.register_buffer("weight", counts * explained / size)
-
-    def forward(self, places: Tensor, state: Tensor) -> Tensor:
-        """Return the loss () of joint positions (B, K, 3, T), metres, of a state (B, C, T)."""
-        slope, offset, _ = self.line
-        return losses.state(self.channels(places, self.fps), slope * state + offset, self.weight)
-
-
-def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
-    """Return slope and offset of the least-squares line of each channel, and its deviation, (3, C).
-
-    Args:
-        given: (C, T_k) of each recording.
-        shown: (C, T_k), to be predicted from it.
-    """
-    x, y = (torch.cat(list(parts), dim=1).double().numpy() for parts in (given, shown))
-    mean = y.mean(axis=1)
-    away = x - x.mean(axis=1, keepdims=True)
-    slope = (away * y).mean(axis=1) / np.maximum(np.square(away).mean(axis=1), 1e-9)
-    return np.stack([slope, mean - slope * x.mean(axis=1), np.maximum(y.std(axis=1), 1e-3)])
-
-
-def state_targets(
-    state: TrainingState | None,
-    indices: Sequence[int],
-    config: MultiresConfig,
-    places: Callable[[Tensor], Tensor],
-    device: torch.device,
-) -> dict[int, StateTarget]:
-    """Return {index: target} of these levels; none without `losses.state`.
-
-    Arguments are as for `StateTarget`.
-    """
-    if not config.losses.state or state is None:
-        return {}
-    levels = config.network.levels
-    return {i: StateTarget(state, i, levels, places).to(device) for i in indices}

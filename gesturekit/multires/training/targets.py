@@ -1,4 +1,4 @@
-"""Targets of losses on random steps that are not in the paper: arm movement and detail.
+"""Targets of losses on random steps that are not in the paper: arm movement, detail and state.
 
 `ArmTarget` predicts arm speed and acceleration from speech by a ridge regression on paired
 recordings, since the speech of these steps has no recorded motion. Trembling arms could match a
@@ -15,22 +15,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 import audio_features as af
 from gesturekit.multires import losses
-from gesturekit.multires.kinematics import (
-    CAPTURE_SECONDS,
-    SMOOTHING_SECONDS,
-    VectorKinematics,
-    smooth,
-)
-from gesturekit.multires.network.resampling import reflect, resample
-from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.sequences import PairedSequence
+from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.layers import reflect, resample
+from gesturekit.multires.motion_vector import Normaliser
+from gesturekit.multires.training.data import PairedSequence, TrainingData
+from gesturekit.multires.training.state import TrainingState
+from gesturekit.state.channels import averaged
 
 # Fixed: the recipes' loss weights were chosen with these values.
 _CONTEXT_SECONDS = 0.2
@@ -55,79 +55,10 @@ MOST_WINDOWS = 2048
 over the recordings. Windows beside each other overlap, so that more would change the mean by less
 than 1 %."""
 _WINDOWS_AT_ONCE = 256  # bounds the memory of their joint positions
-_FLOORS = 1.0, 10.0
-"""Added to arm speed (rad/s) and acceleration (rad/s^2) before the logarithm, so that slow movement
-counts little."""
+_LEAST_FRAMES = 4
+"""Frames of a recording at a level from which its state is measured there."""
 _DETAIL_WINDOWS = 64
 """Number of recorded windows per style, evenly spaced. Fixed; it bounds the cost of a step."""
-
-
-def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> Tensor:
-    """Return (B, 2, T) smoothed logarithms (sigma 0.1 s) of (B, T) arm movement.
-
-    Args:
-        speed: (B, T), rad/s.
-        acceleration: (B, T), rad/s^2.
-        frame_seconds: time between two frames.
-    """
-    both = torch.stack([speed, acceleration], dim=1)
-    added = both.new_tensor(_FLOORS)[:, None]
-    return torch.log(smooth(both, SMOOTHING_SECONDS / frame_seconds) + added)
-
-
-def recorded_movement(kinematics: VectorKinematics, values: Tensor, stride: float) -> Tensor:
-    """Return (B, 2, T) log arm movement of recordings, without capture noise.
-
-    Args:
-        kinematics: of the rig.
-        values: (B, D, T) motion vectors in their own units.
-        stride: full-rate frames between two frames.
-    """
-    return log_movement(
-        kinematics.arm_speed(values, stride, smoothing=0.0),
-        kinematics.arm_acceleration(values, stride, smoothing=CAPTURE_SECONDS),
-        stride / kinematics.fps,
-    )
-
-
-def arm_targets(
-    sequences: Sequence[PairedSequence],
-    indices: Sequence[int],
-    levels: int,
-    values_of: Callable[[Tensor], Tensor],
-    kinematics: VectorKinematics,
-    device: torch.device,
-) -> list[ArmTarget]:
-    """Fit a regression for each level, from the paired speech to the recorded arm movement.
-
-    Recorded speed is unfiltered and generated speed is smoothed (`VectorKinematics.arm_speed`), so
-    that generated arms have to move as fast as the recorded ones without trembling. Acceleration is
-    filtered the other way round: recordings without capture noise, generated motion with all its
-    trembling.
-
-    Args:
-        sequences: recordings.
-        indices: of the levels.
-        levels: L.
-        values_of: converts normalised motion (B, D, T) to its own units.
-        kinematics: of the rig.
-        device: on which the networks are trained.
-    """
-    targets = []
-    for i in indices:
-        speeches, movements = [], []
-        stride = 1.0
-        for sequence in sequences:
-            n = af.level_lengths(sequence.n_frames, levels)[i]
-            if n < 2:
-                continue  # a single frame has no speed
-            stride = sequence.n_frames / n
-            values = values_of(resample(sequence.motion[:, :][None].to(device), n))
-            movements.append(recorded_movement(kinematics, values, stride)[0])
-            speeches.append(resample(sequence.speech[:, :].to(device), n))
-        target = ArmTarget(stride / kinematics.fps).to(device)
-        targets.append(target.fit(speeches, movements))
-    return targets
 
 
 class ArmTarget(nn.Module):
@@ -250,12 +181,12 @@ class DetailTarget(nn.Module):
                 windows = windows[torch.linspace(0, len(windows) - 1, most).round().long()]
             for some in windows.split(_WINDOWS_AT_ONCE):
                 powers[sequence.style].append(self._power(some))
-        everywhere = torch.cat([part for parts in powers for part in parts]).mean()
+        everywhere = torch.cat([power for of_style in powers for power in of_style]).mean()
         self.register_buffer("floor", (_DETAIL_FLOOR**2 * everywhere).clamp(min=_LEAST_DETAIL))
-        for style, parts in enumerate(powers):
-            if not parts:  # no recording has this style of a model to start from
+        for style, of_style in enumerate(powers):
+            if not of_style:  # no recording has this style of a model to start from
                 continue
-            logs = self._log(torch.cat(parts))
+            logs = self._log(torch.cat(of_style))
             few = torch.linspace(0, len(logs) - 1, min(len(logs), _DETAIL_WINDOWS)).round().long()
             self.register_buffer(f"recorded{style}", logs[few])
 
@@ -279,26 +210,145 @@ class DetailTarget(nn.Module):
         made = made / made.shape[1] ** 0.5
         total = made.sum() * 0
         for style in styles.unique().tolist():
-            own = made[styles == style]
-            if len(own) < 2:
+            alike = made[styles == style]
+            if len(alike) < 2:
                 continue
             recorded = getattr(self, f"recorded{style}") / made.shape[1] ** 0.5
-            total = total + len(own) / len(made) * losses.detail(own, recorded)
+            total = total + len(alike) / len(made) * losses.detail(alike, recorded)
         return total
 
 
-def detail_targets(
+class StateTarget(nn.Module):
+    """State of movement that a level should show, given the state of the whole motion.
+
+    A coarse level moves less than the finest one, and shows little of the fast movement: a line for
+    each channel, fitted to the recordings, tells what it shows, and the share of the variance that
+    the line explains tells how much the channel counts there.
+
+    Args:
+        state: of the recordings.
+        level: index of the level.
+        levels: L.
+        places: converts normalised motion (B, D, T) to joint positions (B, K, 3, T), metres.
+    """
+
+    line: Tensor
+    weight: Tensor
+
+    def __init__(
+        self, state: TrainingState, level: int, levels: int, places: Callable[[Tensor], Tensor]
+    ) -> None:
+        super().__init__()
+        self.channels, fps = state.process.channels, state.process.fps
+        self.fps = fps
+        given, shown = [], []
+        for sequence in state.data.sample:
+            n_frames = af.level_lengths(sequence.n_frames, levels)[level]
+            if n_frames < _LEAST_FRAMES:
+                continue
+            self.fps = fps * n_frames / sequence.n_frames
+            channels = state.recorded(sequence)[: len(self.channels.names)]
+            given.append(torch.from_numpy(averaged(channels, n_frames)))
+            motion = resample(sequence.motion[:, :][None], n_frames)
+            shown.append(self.channels(places(motion).cpu(), self.fps)[0])
+        if not given:  # nothing is asked of levels of so few frames
+            given = shown = [torch.zeros(len(self.channels.names), _LEAST_FRAMES)]
+        self.register_buffer("line", torch.from_numpy(_lines(given, shown)).float()[..., None])
+        slope, _, size = self.line
+        counts = torch.from_numpy(self.channels.counts).float()[:, None]
+        together = torch.cat(given, dim=1)
+        explained = (slope * together.std(dim=1, keepdim=True) / size).square().clamp(max=1.0)
+        self.register_buffer("weight", counts * explained / size)
+
+    def forward(self, places: Tensor, state: Tensor) -> Tensor:
+        """Return the loss () of joint positions (B, K, 3, T), metres, of a state (B, C, T)."""
+        slope, offset, _ = self.line
+        return losses.state(self.channels(places, self.fps), slope * state + offset, self.weight)
+
+
+def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
+    """Return slope and offset of the least-squares line of each channel, and its deviation, (3, C).
+
+    Args:
+        given: (C, T_k) of each recording.
+        shown: (C, T_k), to be predicted from it.
+    """
+    x, y = (torch.cat(list(parts), dim=1).double().numpy() for parts in (given, shown))
+    mean = y.mean(axis=1)
+    away = x - x.mean(axis=1, keepdims=True)
+    slope = (away * y).mean(axis=1) / np.maximum(np.square(away).mean(axis=1), 1e-9)
+    return np.stack([slope, mean - slope * x.mean(axis=1), np.maximum(y.std(axis=1), 1e-3)])
+
+
+@dataclass(frozen=True)
+class LevelTargets:
+    """Targets of one level; None for a loss that it does not have."""
+
+    arms: ArmTarget | None
+    detail: DetailTarget | None
+    state: StateTarget | None
+
+
+def level_targets(
     data: TrainingData,
+    config: MultiresConfig,
     indices: Sequence[int],
-    levels: int,
-    places: Callable[[Tensor], Tensor],
+    kinematics: VectorKinematics,
+    state: TrainingState | None,
     device: torch.device,
-) -> dict[int, DetailTarget]:
-    """Return {index: target} of these levels; the first level has none, as there is no coarser
-    level."""
-    styles = max(1, len(data.styles))
-    return {
-        i: DetailTarget(data.sample, i, levels, places, data.window, styles).to(device)
-        for i in indices
-        if i
-    }
+) -> list[LevelTargets]:
+    """Return the targets of the levels with these indices, fitted to the recordings.
+
+    Args:
+        data: of the run.
+        config: of the run.
+        indices: of the levels.
+        kinematics: of the rig.
+        state: the state of movement; None for a model without it.
+        device: on which the networks are trained.
+    """
+    levels = config.network.levels
+    normaliser = data.normaliser.to(device)
+
+    def places(motion: Tensor) -> Tensor:
+        return kinematics.places(normaliser.inverse(motion.to(device)))
+
+    targets = []
+    for i in indices:
+        arms, detail, wanted = None, None, None
+        if config.uses_arm_speed:
+            arms = arm_target(data.sample, i, levels, normaliser, kinematics)
+        if config.losses.detail and i:  # the first level has no coarser one
+            styles = max(1, len(data.styles))
+            detail = DetailTarget(data.sample, i, levels, places, data.window, styles).to(device)
+        if config.losses.state and state is not None:
+            wanted = StateTarget(state, i, levels, places).to(device)
+        targets.append(LevelTargets(arms, detail, wanted))
+    return targets
+
+
+def arm_target(
+    sequences: Sequence[PairedSequence],
+    index: int,
+    levels: int,
+    normaliser: Normaliser,
+    kinematics: VectorKinematics,
+) -> ArmTarget:
+    """Fit the regression of a level from the paired speech to the recorded arm movement.
+
+    Recorded speed is unfiltered and generated speed is smoothed (`VectorKinematics.arm_speed`), so
+    that generated arms have to move as fast as the recorded ones without trembling. Acceleration is
+    filtered the other way round: recordings without capture noise, generated motion with all its
+    trembling.
+    """
+    device, stride = normaliser.mean.device, 1.0
+    speeches, movements = [], []
+    for sequence in sequences:
+        n = af.level_lengths(sequence.n_frames, levels)[index]
+        if n < 2:
+            continue  # a single frame has no speed
+        stride = sequence.n_frames / n
+        values = normaliser.inverse(resample(sequence.motion[:, :][None].to(device), n))
+        movements.append(kinematics.recorded_arm_movement(values, stride)[0])
+        speeches.append(resample(sequence.speech[:, :].to(device), n))
+    return ArmTarget(stride / kinematics.fps).to(device).fit(speeches, movements)

@@ -1,50 +1,57 @@
-"""Training of a multires model, stage by stage: two levels at a time, the coarsest first."""
+"""Training of a multires model: its data, stages, steps, checkpoints and the model folder.
+
+A stage trains two levels, the coarsest first. One iteration of a stage (section 4.2 of the paper)
+is some discriminator steps, a random-generation step and a reconstruction step.
+"""
 
 from __future__ import annotations
 
 import copy
 import logging
-import math
-import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor, nn
 
 import audio_features as af
-from gesturekit.corpus.manifest import Manifest
-from gesturekit.errors import ConfigError, GestureKitError
-from gesturekit.motion.parts import find_legs, is_upper_body, unidentified
+from gesturekit.errors import ConfigError
 from gesturekit.multires.backend import choose_backend, requested_backend
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.constraints.constraint import fastest_second
+from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.losses import LevelMotion, random_losses, reconstruction
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.network.generator import MultiresGenerator
-from gesturekit.multires.retrieval.library import RecordedLibrary
-from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
-from gesturekit.multires.training.ahead import with_ahead, with_live_predictions
-from gesturekit.multires.training.batches import usage
+from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
+from gesturekit.multires.retrieval import RecordedLibrary
+from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.data import TrainingData
-from gesturekit.multires.training.library import build_library
-from gesturekit.multires.training.loading import load_training_data
+from gesturekit.multires.training.loading import (
+    adapted,
+    described,
+    load_training_data,
+    warn_of_speech,
+)
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
-from gesturekit.multires.training.stage import Stage
+from gesturekit.multires.training.result import (
+    live_predictions_if_any,
+    readme_rows,
+    trained_model,
+    with_live,
+)
 from gesturekit.multires.training.state import TrainingState
-from gesturekit.multires.training.targets import MOST_WINDOWS
-from gesturekit.state.ahead import AheadPrediction
-from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
+from gesturekit.multires.training.targets import level_targets
+from gesturekit.multires.training.windows import Batches, Windows
+from gesturekit.state.live import AheadPrediction
+from gesturekit.training.data.sources import save_sources, unused_labels
 from gesturekit.training.data.start_model import widened
-from gesturekit.training.recordings import load_recordings, training_items
 from gesturekit.training.run.folder import Run
 from gesturekit.training.run.held_out import HeldOutMetrics
 from gesturekit.training.run.loop import Loop, last_losses, read_once
-from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
-from gesturekit.training.run.session import Processes, prepare_device, session
-from gesturekit.training.run_config import LEGLESS, UNIDENTIFIED
-from gesturekit.training.seeds import seeded
-from gesturekit.wording import counted, roughly
+from gesturekit.training.run.session import Processes, session
+from gesturekit.training.seeds import rng_for, seeded
 
 log = logging.getLogger(__name__)
 
@@ -70,30 +77,6 @@ def train(config: MultiresConfig, *, resume: bool = False) -> Path:
         return Trainer(config, run, device, processes, resume=resume).run()
 
 
-def plan_training(config: MultiresConfig) -> None:
-    """Log the plan of `train` and its estimated duration; see `training.run.plan`."""
-    device = str(prepare_device(config.device, config.threads))
-    log_plan(
-        config,
-        partial(load_training_data, config, device, trial=True),
-        partial(
-            load_recordings,
-            config,
-            config.parts,
-            speech=config.features is not None,
-            styles=config.styles is not None,
-            trial=True,
-        ),
-        Trainer,
-    )
-
-
-def make_arrays(config: MultiresConfig) -> None:
-    """Make the arrays of a corpus that is not held in memory; see `gesturekit.systems`."""
-    data = load_training_data(config, str(prepare_device(config.device, config.threads)))
-    log_arrays(config, data.stored is not None)
-
-
 class Trainer:
     """A training run: its data, its network and its stages, one after another."""
 
@@ -107,8 +90,8 @@ class Trainer:
         resume: bool,
         trial: bool = False,
     ) -> None:
-        self.folder = run
-        self.processes = processes
+        self.folder, self.processes = run, processes
+        self._live: tuple[AheadPrediction, ...] | None = None
         windows = config.training.windows_per_step
         if windows < processes.count:
             raise ConfigError(
@@ -116,145 +99,50 @@ class Trainer:
                 f"{processes.count} processes (whole sequences go one at a time)"
             )
         requested_backend(config.backend)  # refused here, before the run folder is made
-        self.ahead: tuple[AheadPrediction, ...] | None = None
-        self.data = read_once(
+        self.data = data = read_once(
             run,
             processes,
             resume=resume,
             read=lambda: load_training_data(config, str(device), trial=trial),
             load=lambda folder: TrainingData.load(folder, config, str(device)),
         )
-        self.config = config = self._adapted(config)
-        if self.data.unpaired_is_paired and processes.is_first:
-            log.warning("The corpus has no unpaired speech: random steps take the paired speech.")
-        self._warn_of_short_clips()
-        self.seconds = sum(source.duration for source in self.data.sources)
+        skeleton = data.representation.skeleton
+        self.config = config = adapted(config, skeleton, quiet=not processes.is_first)
+        if processes.is_first:
+            warn_of_speech(config, data)
         self.held_out = HeldOutMetrics(
-            config, run, speech=self.data.conditioner is not None, styles=self.data.styles
+            config, run, speech=data.conditioner is not None, styles=data.styles
         )
         self.loop = Loop(config, run, processes, self.held_out)
-        levels, steps = config.network.levels, sum(count for _, count in self.stages())
-        self.unused = unused_labels(self.data.sources, self.data.styles, state=config.state)
-        kind = ["multires", self._mode(), f"{levels} levels"]
-        self.loop.announce(kind, steps, self._contents(), self.unused)
+        self.unused = unused_labels(data.sources, data.styles, state=config.state)
+        steps = sum(count for _, count in self.stages())
+        kind, contents = described(config, data)
+        self.loop.announce(kind, steps, contents, self.unused)
         self.network = seeded(
             (config.seed, "generator"),
             lambda: MultiresGenerator(
-                self.data.representation,
-                self.data.conditions(config).width,
-                config.network,
+                data.representation, data.conditions(config).width, config.network
             ),
         )
-        if self.data.start:
-            weights = widened(
-                self.data.start, self.network, lambda name: name.endswith("embed.weight")
+        if data.start:
+            self.network.load_state_dict(
+                widened(data.start, self.network, lambda name: name.endswith("embed.weight"))
             )
-            self.network.load_state_dict(weights)
         self.network.to(device)
-        watched = config.eval_every and processes.is_first
-        convolve = choose_backend(config.backend, self.network).convolve
-        self.monitor = Monitor(self.data, config, convolve, self.state) if watched else None
-
-    @cached_property
-    def library(self) -> RecordedLibrary | None:
-        """Return the recorded motion that the model plays; None without."""
-        return build_library(self.data, self.config, self.state)
+        self.monitor = None
+        if config.eval_every and processes.is_first:
+            convolve = choose_backend(config.backend, self.network).convolve
+            self.monitor = Monitor(data, config, convolve, self.state)
 
     @cached_property
     def state(self) -> TrainingState | None:
         """Return the state of movement of the recordings; None for a model without it."""
         return TrainingState(self.data, self.config) if self.config.state else None
 
-    def _adapted(self, config: MultiresConfig) -> MultiresConfig:
-        """Return the settings without losses on body parts that the rig lacks; log them."""
-        skeleton = self.data.representation.skeleton
-        missing = unidentified(skeleton)
-        if is_upper_body(skeleton):
-            if self.processes.is_first:
-                log.info(LEGLESS)
-            return replace(config, losses=replace(config.losses, contact=0.0))
-        if not missing:
-            return config
-        off: dict[str, Any] = {"arm_speed": 0.0, "arm_acceleration": 0.0}
-        follows = []
-        if config.uses_arm_speed:
-            follows.append("no losses on the arms")
-        if find_legs(skeleton) is None:
-            off["contact"] = 0.0
-            follows += ["no contact labels or loss", "recordings keep their heading"]
-        if config.joints == "body":
-            follows.append("all joints are modelled")
-        if follows and self.processes.is_first:
-            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
-        return replace(config, losses=replace(config.losses, **off))
-
-    def _warn_of_short_clips(self) -> None:
-        """Warn about clips that are shorter at level 1 than the patches of the discriminator."""
-        network, lengths = self.config.network, [clip.shape[-1] for clip in self.data.unpaired]
-        least = network.n_frames_of_patch
-        short = [n for n in lengths if af.level_lengths(n, network.levels)[0] < least]
-        if self.data.own_lengths and short and self.processes.is_first:
-            log.warning(
-                "%d of %d clips of unpaired speech have fewer than the %d frames of a "
-                "discriminator's patch at level 1, which sees them reflected: of %d levels, clips "
-                "of %.1f s or more have enough.",
-                *(len(short), len(lengths), least, network.levels),
-                math.ceil((least - 0.5) * (4 / 3) ** (network.levels - 1)) / self.config.fps,
-            )
-
-    def _contents(self) -> list[str]:
-        """Return descriptions of the training data."""
-        data = self.data
-        parts = [describe_recordings(data.sources, self.seconds, self.config.fps)]
-        if data.conditioner is not None:
-            if not data.unpaired_is_paired:
-                parts.append(f"{roughly(data.spoken[0])} of unpaired speech")
-            parts.append(counted(data.conditioner.dim, "speech feature"))
-        if data.styles:
-            parts.append(counted(len(data.styles), "style"))
-        representation = data.representation
-        joints = counted(representation.skeleton.n_joints, "joint")
-        return [*parts, f"{len(representation.joints)} of {joints} modelled"]
-
-    def _mode(self) -> str:
-        """Return the model's inputs in words."""
-        given = ["speech"] * bool(self.data.conditioner) + ["labels"] * bool(self.data.styles)
-        return f"{' and '.join(given)} mode" if given else "no condition"
-
-    def estimate(self) -> Estimate:
-        """Estimate the cost of the training from a few iterations of each stage.
-
-        They change the networks: for a run that is not kept.
-        """
-        data, config = self.data, self.config
-        whole = self.seconds * config.fps
-        frames = sum(sequence.n_frames for sequence in data.paired)
-        # Whole recordings differ in length, and each iteration takes one of them.
-        longer = 1.0
-        if config.training.window is None:
-            longer = whole / len(data.sources) / (frames / len(data.paired))
-        sampled = min(whole, 60 * config.in_memory * config.fps)
-        seconds = quickest(lambda: self.state, 1) * sampled / frames
-        for first, iterations in self.stages():
-            began = time.monotonic()
-            stage = self.stage(first, iterations)
-            begin = time.monotonic() - began
-            seconds += begin * min(sampled, MOST_WINDOWS) / min(frames, MOST_WINDOWS)
-            renewals = math.ceil(iterations / config.training.renew_every)
-            seconds += renewals * quickest(partial(stage.batches.renew, 0), 2)
-            # The first iteration compiles too.
-            seconds += iterations * longer * quickest(partial(stage.iterate, 1), 4)
-        speech = 0.0
-        if data.conditioner is not None:
-            speech = 4 * config.fps * (data.conditioner.extractor.dim + 1)
-        motion = data.representation.n_features + data.paired[0].passive.shape[0]
-        rates = (4 * config.fps * motion + speech, speech)
-        return Estimate(seconds, self.held_out.seconds, rates)
-
-    def _usage(self) -> str:
-        """Return how much of the recordings is drawn."""
-        shortest = min(iterations for _, iterations in self.stages())
-        return usage(self.config.training, shortest, self.seconds, len(self.data.sources))
+    @cached_property
+    def library(self) -> RecordedLibrary | None:
+        """Return the recorded motion that the model plays; None without."""
+        return None if self.state is None else self.state.library()
 
     def stages(self) -> list[tuple[int, int]]:
         """Return (first level, iterations) of each stage."""
@@ -264,15 +152,9 @@ class Trainer:
         return [(level, further if level else first) for level in range(0, levels, 2)]
 
     def stage(self, first: int, iterations: int) -> Stage:
-        """Return the stage that begins with this level, its networks untrained."""
+        """Return the stage that begins with this level, its discriminators untrained."""
         return Stage(
-            self.config,
-            self.data,
-            self.network,
-            self.processes,
-            first,
-            iterations,
-            self.state,
+            self.config, self.data, self.network, self.processes, first, iterations, self.state
         )
 
     def run(self) -> Path:
@@ -306,55 +188,58 @@ class Trainer:
                         self.measure(step, last)
                     if due.checkpoint:
                         self.loop.save(step, stage.weights(), stage.state())
-        return self._finish(end)
+        if self.processes.is_first:
+            self._finish(end)
+        self.processes.wait()
+        return self.folder.folder / "model"
 
     def measure(self, step: int, levels: int) -> str:
         """Log and return the verdict on held-out recordings, at the finest level so far."""
-        whole = levels == self.config.network.levels
-        return self.held_out.measure(
-            step,
-            self._model(copy.deepcopy(self.network)),
-            "" if whole else f", levels 1-{levels} of {self.config.network.levels}",
-            keep=False,
-            **({} if whole else {"levels": levels}),
-        )
+        model = self._model(copy.deepcopy(self.network))
+        if levels == self.config.network.levels:
+            return self.held_out.measure(step, model)
+        so_far = f", levels 1-{levels} of {self.config.network.levels}"
+        return self.held_out.measure(step, model, so_far, levels=levels)
 
     def evaluate(self, step: int, first: int, levels: int) -> None:
         """Log cheap metrics, write a sample, and keep the best model of the last stage."""
-        monitor = self.monitor
-        if monitor is None:
+        if self.monitor is None:
             return
-        metrics = monitor.metrics(self.network, levels)
-        monitor.warn_of_collapse(metrics, step)
-        monitor.write_sample(self.folder.folder / "samples", step)
+        metrics = self.monitor.metrics(self.network, levels)
+        self.monitor.warn_of_collapse(metrics, step)
+        self.monitor.write_sample(self.folder.folder / "samples", step)
         if levels == self.config.network.levels:
             # Models of earlier stages lack the finest levels.
             before = self.folder.evaluations(level=first + 1)
             distance = distance_from_recordings(metrics)
             if all(distance < distance_from_recordings(other) for other in before):
+                model = self._calibrated(self._model(copy.deepcopy(self.network)))
                 self._save(
-                    "best",
-                    self._calibrated(self._model(copy.deepcopy(self.network))),
-                    {"Training steps": f"{step}, the best by the cheap evaluations"},
+                    "best", model, {"Training steps": f"{step}, the best by the cheap evaluations"}
                 )
         self.folder.log(step, metrics, level=first + 1, kind="evaluation")
 
-    def _finish(self, steps: int) -> Path:
+    def _finish(self, steps: int) -> None:
         """Measure and write the model."""
-        if self.processes.is_first:
-            model = self._calibrated(self._model(self.network))
-            measured = self.held_out.measure(steps, model, "", keep=True)
-            self._save(
-                "model",
-                model,
-                {
-                    "Training steps": str(steps),
-                    "Last losses": last_losses(self.folder),
-                    **({"Measured": measured} if measured else {}),
-                },
-            )
-        self.processes.wait()
-        return self.folder.folder / "model"
+        model = self._calibrated(self._model(self.network))
+        measured = self.held_out.measure(steps, model, keep=True)
+        notes = {"Training steps": str(steps), "Last losses": last_losses(self.folder)}
+        self._save("model", model, notes | ({"Measured": measured} if measured else {}))
+
+    def _model(self, network: MultiresGenerator) -> MultiresModel:
+        """Return the model of a network, which is moved to the CPU."""
+        return trained_model(self.config, self.data, network, self.state, self.library)
+
+    def _save(self, name: str, model: MultiresModel, rows: dict[str, str]) -> None:
+        """Write a model of the run, its state of movement as its network shows it."""
+        if self.state is not None:
+            if self._live is None:
+                self._live = live_predictions_if_any(model, self.config.corpus)
+            model = with_live(model, self._live)
+        shortest = min(iterations for _, iterations in self.stages())
+        rows = readme_rows(self.config, self.data, shortest, self.unused, rows)
+        model.save(self.folder.folder / name, notes=rows)
+        save_sources(self.folder.folder / name, self.data.sources)
 
     def _calibrated(self, model: MultiresModel) -> MultiresModel:
         """Return a model with a state of movement that its network shows as it is drawn."""
@@ -362,76 +247,286 @@ class Trainer:
             return model
         return replace(model, state_process=self.state.calibrated(model))
 
-    def _save(self, name: str, model: MultiresModel, notes: dict[str, str]) -> None:
-        """Write a model of the run."""
-        spoken, files = self.data.spoken
-        if model.state_process is not None:
-            if self.ahead is None:
-                self.ahead = self._live_predictions(model)
-            model = with_ahead(model, self.ahead)
-        model.save(
-            self.folder.folder / name,
-            notes={
-                "Recordings": describe_recordings(self.data.sources, self.seconds, self.config.fps),
-                "Unpaired speech": f"{roughly(spoken)} in {counted(files, 'file')}"
-                if files
-                else "none",
-                **({"Not used": "; ".join(self.unused)} if self.unused else {}),
-                "Use of the recordings": self._usage(),
-                "Began with": self.config.began_with,
-                **notes,
-                **{str(key): str(value) for key, value in self.config.notes.items()},
-            },
-        )
-        save_sources(self.folder.folder / name, self.data.sources)
 
-    def _live_predictions(self, model: MultiresModel) -> tuple[AheadPrediction, ...]:
-        """Return the predictions for live speech; none for a model that cannot stream."""
-        corpus = self.config.corpus
-        try:
-            items = training_items(Manifest.load(corpus), corpus, with_audio=True)
-            return with_live_predictions(model, items).ahead
-        except (GestureKitError, af.AudioFeaturesError) as error:
-            # A trained model is worth more than its use for live speech.
-            log.warning("The model cannot stream, without predictions for live speech: %s", error)
-            return ()
+class Stage:
+    """Training of two adjacent levels; the coarser ones are finished, the finer ones untrained.
 
-    def _model(self, network: MultiresGenerator) -> MultiresModel:
-        """Return the model of a network, which is moved to the CPU."""
-        root_xz = self.data.representation.layout.root_xz
-        # With a state of movement, a recording is made of its state, which is not kept.
-        reconstructed = self.data.sample if self.state is None else ()
-        return MultiresModel(
-            fps=self.config.fps,
-            representation=self.data.representation,
-            normaliser=self.data.normaliser,
-            conditions=self.data.conditions(self.config),
-            library=self.library,
-            state_process=None if self.state is None else self.state.process,
-            network_config=self.config.network,
-            network=network.cpu().eval(),
-            noise=TrainedNoise(
-                sigma=torch.stack([sequence.sigma for sequence in self.data.sample]),
-                z_star={sequence.name: sequence.z_star for sequence in reconstructed},
-                sequences={
-                    sequence.name: TrainedSequence(
-                        sequence.n_frames,
-                        self.data.styles[sequence.style] if self.data.styles else None,
-                    )
-                    for sequence in reconstructed
-                },
-                z_star_shuffle=self.config.z_star_shuffle,
-                noise_levels=self.config.noise_levels,
-            ),
-            speakers=self.data.speakers,
-            fastest=self.data.representation.scale
-            * max(
-                fastest_second(
-                    self.data.normaliser.to_values(sequence.motion[:, :][None])[:, root_xz],
-                    self.config.fps,
-                )
-                for sequence in self.data.sample
-            ),
-            smooth=self.config.smooth,
-            recorded_fps=self.data.recorded_fps,
+    Args:
+        config: of the run.
+        data: recordings and speech.
+        network: the whole pyramid.
+        processes: that share each batch.
+        first: index of the coarser level.
+        iterations: of this stage.
+        state: the state of movement; None for a model without it.
+    """
+
+    def __init__(
+        self,
+        config: MultiresConfig,
+        data: TrainingData,
+        network: MultiresGenerator,
+        processes: Processes,
+        first: int,
+        iterations: int,
+        state: TrainingState | None = None,
+    ) -> None:
+        self.config, self.network, self.processes = config, network, processes
+        self.first, self.iterations = first, iterations
+        self.device = next(network.parameters()).device
+        self.indices = range(first, min(first + 2, config.network.levels))
+        conditioned = config.styles is not None and config.styles.condition_discriminator
+        self.n_styles = len(data.styles) if conditioned else 0
+        self.generators = nn.ModuleList(network.levels[i] for i in self.indices)
+        self.discriminators = nn.ModuleList(
+            seeded(
+                (config.seed, "discriminator", i),
+                lambda: LevelDiscriminator(data.representation, config.network, self.n_styles),
+            )
+            for i in self.indices
+        ).to(self.device)
+        self.backend = choose_backend(config.backend, self.generators, self.discriminators)
+        self.batches = Batches(data, config, network, first, self.backend.convolve, state)
+        rate, (beta, decay) = config.training.learning_rate, config.training.betas
+        adam = partial(torch.optim.Adam, lr=rate, betas=(beta, decay), fused=True)
+        self.optimisers = {
+            "generator": adam(self.generators.parameters()),
+            "discriminator": adam(self.discriminators.parameters()),
+        }
+        share = processes.share(self.batches.size)
+        self.share, self.weight = share, (share.stop - share.start) / self.batches.size
+        self.normaliser = data.normaliser.to(self.device)
+        arms = config.uses_arm_speed
+        self.kinematics = VectorKinematics(data.representation, config.fps, arms).to(self.device)
+        self.targets = level_targets(
+            data, config, self.indices, self.kinematics, state, self.device
         )
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint holds."""
+        return {
+            "first": self.first,
+            "generator": self.network.state_dict(),
+            "discriminators": self.discriminators.state_dict(),
+            "optimisers": {name: o.state_dict() for name, o in self.optimisers.items()},
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore discriminators and optimisers; the trainer restores the generators."""
+        self.discriminators.load_state_dict(state["discriminators"])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
+
+    def weights(self) -> list[Tensor]:
+        """Return the parameters that this stage trains."""
+        return [*self.generators.parameters(), *self.discriminators.parameters()]
+
+    def iterate(self, iteration: int) -> dict[str, float]:
+        """Run discriminator, random-generation and reconstruction steps; return their losses.
+
+        Losses are those of this process's share, summed over levels. `discriminator` is eq. 12 and
+        `reconstruction` eq. 15, without weights and averaged over levels.
+        """
+        training, batches = self.config.training, self.batches
+        late = iteration >= training.decay_at * self.iterations
+        for optimiser in self.optimisers.values():
+            for group in optimiser.param_groups:
+                group["lr"] = training.learning_rate * (0.1 if late else 1.0)
+        with self._precision():
+            threads = self.backend.threads()
+        report: dict[str, float] = {}
+        with threads:
+            batches.renew(iteration)
+            rng = rng_for(self.config.seed, "iteration", self.first, iteration)
+            if training.discriminator_steps:
+                steps = range(training.discriminator_steps)
+                lengths = [batches.length("random", rng) for _ in steps]
+                report["discriminator"] = self._discriminator_steps(lengths, rng)
+            for _ in range(training.generator_steps):
+                report |= self._random_step(batches.length("random", rng), rng)
+            for _ in range(training.reconstruction_steps):
+                n_frames = batches.length("paired", rng)
+                report["reconstruction"] = self._reconstruction_step(n_frames, rng)
+        return report
+
+    def _discriminator_steps(self, lengths: Sequence[int], rng: torch.Generator) -> float:
+        """Make a discriminator step for each window length; return the last value of eq. 12.
+
+        Generators do not change between them, so all motions are generated at once.
+        """
+        fakes: dict[int, Iterator[Sequence[Tensor]]] = {}
+        for n_frames in dict.fromkeys(lengths):
+            count = lengths.count(n_frames)
+            windows, chosen = self.batches.windows("random", n_frames, rng, count)
+            with torch.no_grad():
+                made = self._generate(windows.take(chosen[:, self.share].flatten()))
+            split = (level.chunk(count) for level in self._within(made, n_frames))
+            fakes[n_frames] = iter(zip(windows.styles[chosen], *split, strict=True))
+        for n_frames in lengths:
+            styles, *fake = next(fakes[n_frames])
+            gap = self._discriminator_step(n_frames, fake, styles, rng)
+        return float(gap)  # which waits for a GPU
+
+    def _discriminator_step(
+        self, n_frames: int, fakes: Sequence[Tensor], styles: Tensor, rng: torch.Generator
+    ) -> Tensor:
+        """Make one discriminator step on windows of `n_frames` at the full rate (eqs. 12 and 13).
+
+        `fakes` (B, D, T_i) of each level are this process's share; `styles` (B, L) are of the whole
+        batch. Fakes that are longer than the recordings are cropped.
+        """
+        share = self.share
+        beside = styles[:, 0].tolist() if self.n_styles else None
+        reals = self.batches.reals(n_frames, rng, beside)
+        # The penalty interpolates between both, so that they need the same length.
+        cropped = [
+            _random_crop(fake, real.shape[-1], rng) for fake, real in zip(fakes, reals, strict=True)
+        ]
+        mixes = [torch.rand(len(styles), 1, 1, generator=rng).to(self.device) for _ in reals]
+        with self._precision():
+            gaps = self.backend.discriminator_gradients(
+                [d for d in self.discriminators if isinstance(d, LevelDiscriminator)],
+                [real[share] for real in reals],
+                cropped,
+                [mix[share] for mix in mixes],
+                self.config.losses,
+                self._style_conditions(styles[share]),
+            )
+        self._update("discriminator")
+        return gaps.mean()
+
+    def _random_step(self, n_frames: int, rng: torch.Generator) -> dict[str, float]:
+        """Make a generator step on motions from random noise and unpaired speech (eq. 11)."""
+        windows = self._draw("random", n_frames, rng)
+        made = self._generate(windows)
+        within = self._within(made, n_frames)
+        conditions = self._style_conditions(windows.styles)
+        given, aims = self._targets_of(windows, n_frames)
+
+        def losses_of(i: int) -> dict[str, Tensor]:
+            target, styles = self.targets[i], windows.styles[:, self.first + i]
+            level = LevelMotion(
+                self.normaliser.inverse(within[i]),
+                n_frames / within[i].shape[-1],
+                lambda: self._scores(i, within[i], conditions[i]),
+                made[i],
+                made[i - 1].detach() if i else windows.coarser,
+                aims[i] if aims else None,
+                target.detail and partial(target.detail, styles=styles),
+                target.state and partial(target.state, state=given[i]),
+            )
+            return random_losses(level, self.kinematics, self.config.losses)
+
+        return self._descend(losses_of)
+
+    def _reconstruction_step(self, n_frames: int, rng: torch.Generator) -> float:
+        """Make a generator step on recordings reconstructed from z* and their speech (eq. 15)."""
+        windows = self._draw("paired", n_frames, rng)
+        is_real = self.config.losses.rec_input == "real"
+        made = self._generate(windows, windows.targets if is_real else ())
+        errors: dict[int, Tensor] = {}
+
+        def losses_of(i: int) -> dict[str, Tensor]:
+            errors[i] = reconstruction(made[i], windows.targets[i])
+            return {"reconstruction": self.config.losses.reconstruction * errors[i]}
+
+        self._descend(losses_of)
+        return float(torch.stack([errors[i].detach() for i in sorted(errors)]).mean())
+
+    def _descend(self, losses_of: Callable[[int], dict[str, Tensor]]) -> dict[str, float]:
+        """Make one generator step on the losses of each level; return {name: sum over levels}.
+
+        No gradient runs from a level into the one below, so levels are computed in parallel.
+        """
+        self.optimisers["generator"].zero_grad(set_to_none=True)
+
+        def level(i: int) -> dict[str, Tensor]:
+            terms = losses_of(i)
+            if terms:
+                # The discriminator needs no gradients here.
+                weights = list(self.generators[i].parameters())
+                torch.stack(list(terms.values())).sum().backward(inputs=weights)
+            return {name: value.detach() for name, value in terms.items()}
+
+        sums: dict[str, float] = {}
+        for terms in self.backend.run_tasks(*(partial(level, i) for i in range(len(self.indices)))):
+            for name, value in terms.items():
+                sums[name] = sums.get(name, 0.0) + float(value)
+        if sums:
+            self._update("generator")
+        return sums
+
+    def _update(self, name: str) -> None:
+        """Average gradients over processes, and step an optimiser."""
+        optimiser = self.optimisers[name]
+        parameters = [p for group in optimiser.param_groups for p in group["params"]]
+        self.processes.average_gradients(parameters, self.weight)
+        optimiser.step()
+
+    def _draw(self, kind: str, n_frames: int, rng: torch.Generator) -> Windows:
+        """Return this process's share of a batch of windows."""
+        windows, chosen = self.batches.windows(kind, n_frames, rng)
+        return windows.take(chosen[0, self.share])
+
+    def _precision(self) -> torch.autocast:
+        """Return the autocast context of networks; losses and sums over time stay in float32."""
+        half = self.config.precision == "bfloat16"
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=half)
+
+    def _generate(self, windows: Windows, recorded: Sequence[Tensor] = ()) -> list[Tensor]:
+        """Return the output (B, D, T_i) of each level; see `MultiresGenerator.forward`."""
+        with self._precision():
+            made = self.network(
+                windows.noise,
+                windows.conditions,
+                first=self.first,
+                coarser=windows.coarser,
+                recorded=recorded,
+                lengths=[level.shape[-1] for level in windows.conditions],
+                convolve=self.backend.convolve,
+            )
+        return [level.float() for level in made]
+
+    def _within(self, made: Sequence[Tensor], n_frames: int) -> list[Tensor]:
+        """Return the generated levels (B, D, T_i) without margins."""
+        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        kept = []
+        for level, i in zip(made, self.indices, strict=True):
+            start = (level.shape[-1] - lengths[i]) // 2
+            kept.append(level[..., start : start + lengths[i]].contiguous())
+        return kept
+
+    def _targets_of(self, windows: Windows, n_frames: int) -> tuple[list[Tensor], list[Tensor]]:
+        """Return what each level was given of the state (B, C, T_i), and the predicted arm movement
+        (B, 2, T_i); empty without such targets."""
+        given, aims = list[Tensor](), list[Tensor]()
+        if any(target.state for target in self.targets):
+            channels = self.batches.data.state_channels
+            rows = slice(-channels.width, len(channels.names) - channels.width)
+            given = self._within([level[:, rows] for level in windows.conditions], n_frames)
+        arms = [target.arms for target in self.targets if target.arms]
+        if arms:
+            pairs = zip(arms, windows.speech, strict=True)
+            aims = self._within([target(speech) for target, speech in pairs], n_frames)
+        return given, aims
+
+    def _style_conditions(self, styles: Tensor) -> list[Tensor | None]:
+        """Return each discriminator's style condition (B, K) from the levels' styles (B, L)."""
+        n = self.n_styles
+        return [agreed_style(styles, n, i) if n else None for i in self.indices]
+
+    def _scores(self, i: int, motion: Tensor, style: Tensor | None) -> Tensor:
+        """Return the (B,) scores of generated motions, without gradients for the discriminator."""
+        discriminator = self.discriminators[i]
+        discriminator.requires_grad_(False)
+        with self._precision():
+            scores = discriminator(motion, style, self.backend.convolve)
+        discriminator.requires_grad_(True)
+        return scores
+
+
+def _random_crop(motion: Tensor, n_frames: int, rng: torch.Generator) -> Tensor:
+    """Return `n_frames` consecutive frames of a motion (B, D, T) that has at least as many."""
+    slack = motion.shape[-1] - n_frames
+    start = int(torch.randint(slack + 1, (), generator=rng)) if slack else 0
+    return motion[..., start : start + n_frames].contiguous()

@@ -21,8 +21,8 @@ import audio_features as af
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
+from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.network.resampling import resample
 from gesturekit.training.data.own_rig import on_rig
 
 _EASE_SECONDS = 0.1
@@ -159,8 +159,8 @@ def fit_keyframes(
     """
     end = None if n_frames is None else af.level_lengths(n_frames, levels)[level]
     motion = _without_held_frames(motion, end)
-    own = on_rig(representation, motion)
-    if own is not motion:
+    retargeted = on_rig(representation, motion)
+    if retargeted is not motion:
         log.warning(
             "keyframes: the rig (%d joints) is not the model's (%d joints): retargeted",
             motion.skeleton.n_joints,
@@ -168,7 +168,7 @@ def fit_keyframes(
         )
     wanted = full_frames(motion, fps) if n_frames is None else n_frames
     _warn_of_misfit(motion, fps, af.level_lengths(wanted, levels), level, n_frames is not None)
-    return own
+    return retargeted
 
 
 def _without_held_frames(motion: Motion, end: int | None) -> Motion:

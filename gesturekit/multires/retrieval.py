@@ -10,16 +10,85 @@ not shown lately.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.retrieval.passive import PassiveChannels
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.rotations import quaternion_from_sixd, sixd_from_quaternion
+from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.training.model_folder import ModelParts
+from gesturekit.wording import counted, roughly
+
+_FRAMES_AT_ONCE = 1024
+"""Frames decoded in one call, which bounds the memory of long motions."""
+_STILL = 0.01
+"""Standard deviation of a rotation's six numbers below which a joint does not move."""
+
+
+@dataclass(frozen=True)
+class PassiveChannels:
+    """Fingers and other joints that move in the recordings but are not modelled, and the face.
+
+    Attributes:
+        joints: names of the F joints.
+        expressions: number E of SMPL-X face coefficients.
+    """
+
+    joints: tuple[str, ...] = ()
+    expressions: int = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """True without such joints and without a face."""
+        return not self.joints and not self.expressions
+
+    @classmethod
+    def find(cls, motions: Sequence[Motion], modelled: Sequence[str]) -> PassiveChannels:
+        """Find the channels that move in the motions of one rig but are not modelled."""
+        moving = []
+        for j, name in enumerate(motions[0].skeleton.names):
+            if name not in modelled:
+                sixd = [sixd_from_quaternion(motion.rotations[:, j]) for motion in motions]
+                if np.concatenate(sixd).std(axis=0).max() > _STILL:
+                    moving.append(name)
+        faces = [motion.expressions for motion in motions]
+        widths = {0 if face is None else face.shape[1] for face in faces}
+        return cls(tuple(moving), widths.pop() if len(widths) == 1 else 0)
+
+    def encode(self, motion: Motion) -> Tensor:
+        """Return (6 F + E, T) float32 rotations and face coefficients."""
+        index = [motion.skeleton.index(name) for name in self.joints]
+        rows = sixd_from_quaternion(motion.rotations[:, index]).reshape(motion.n_frames, -1)
+        if self.expressions:
+            rows = np.concatenate([rows, motion.expressions], axis=1)
+        return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
+
+    def applied(self, motion: Motion, values: Callable[[slice], Tensor]) -> Motion:
+        """Return the motion (T frames) with these channels.
+
+        Args:
+            motion: on the rig.
+            values: returns the channels (6 F + E, N) of a range of its frames.
+        """
+        rotations = motion.rotations.copy()
+        index = [motion.skeleton.index(name) for name in self.joints]
+        face = np.empty((motion.n_frames, self.expressions))
+        for start in range(0, motion.n_frames, _FRAMES_AT_ONCE):
+            frames = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
+            rows = values(frames).T.double().numpy()
+            if index:
+                sixd = rows[:, : 6 * len(index)].reshape(len(rows), len(index), 6)
+                rotations[frames, index] = quaternion_from_sixd(sixd)
+            face[frames] = rows[:, 6 * len(index) :]
+        expressions = face if self.expressions else motion.expressions
+        return replace(motion, rotations=rotations, expressions=expressions)
+
 
 _POINTS = 8
 """Means over a piece by which states are compared."""
@@ -101,7 +170,7 @@ class RecordedLibrary:
     @cached_property
     def piece(self) -> int:
         """Frames of a piece."""
-        longest = max(own.state.shape[1] for own in self.recordings)
+        longest = max(each.state.shape[1] for each in self.recordings)
         return max(1, min(round(self._choice.seconds * self.fps), longest))
 
     @cached_property
@@ -117,12 +186,12 @@ class RecordedLibrary:
     @cached_property
     def played(self) -> np.ndarray:
         """(N, D + X) float32: all recordings, one after another."""
-        return np.concatenate([own.channels for own in self.recordings])
+        return np.concatenate([each.channels for each in self.recordings])
 
     @cached_property
     def starts(self) -> np.ndarray:
         """(S,) the frames at which a piece can begin, numbered across all recordings."""
-        first = np.cumsum([0, *(own.state.shape[1] for own in self.recordings)])
+        first = np.cumsum([0, *(each.state.shape[1] for each in self.recordings)])
         pairs = zip(first, self._usable, strict=False)
         return np.concatenate([a + np.arange(n) for a, n in pairs])
 
@@ -134,12 +203,12 @@ class RecordedLibrary:
     @property
     def _usable(self) -> list[int]:
         """Number of the frames of each recording at which a piece can begin."""
-        return [max(0, own.state.shape[1] - self.piece + 1) for own in self.recordings]
+        return [max(0, each.state.shape[1] - self.piece + 1) for each in self.recordings]
 
     @cached_property
     def _pooled(self) -> np.ndarray:
         """(C + 1, N): the states of all recordings, one after another."""
-        return np.concatenate([own.state.numpy() for own in self.recordings], axis=1)
+        return np.concatenate([each.state.numpy() for each in self.recordings], axis=1)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -192,13 +261,28 @@ class RecordedLibrary:
         allowed = np.ones(len(self.starts), bool)
         for name, wanted in (("style", style), ("speaker", speaker)):
             if wanted is not None:
-                own = np.array([getattr(one, name) == wanted for one in self.recordings])
-                narrower = allowed & own[self.recording_of]
+                fits = np.array([getattr(each, name) == wanted for each in self.recordings])
+                narrower = allowed & fits[self.recording_of]
                 allowed = narrower if narrower.any() else allowed
         return allowed
 
 
-class PieceSequence:
+class Resumable:
+    """Part of a stream that can go on from where another one was."""
+
+    kept: ClassVar[tuple[str, ...]]
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs."""
+        return {name: getattr(self, name) for name in self.kept}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the `state` of one with the same arguments."""
+        for name in self.kept:
+            setattr(self, name, state[name])
+
+
+class PieceSequence(Resumable):
     """Pieces of a motion, chosen one after another.
 
     Args:
@@ -207,6 +291,8 @@ class PieceSequence:
         speaker: use only this speaker's recordings, if there are any; None for all.
         style: number of the style of each frame, by its number; None for any.
     """
+
+    kept = ("_chosen", "_used")
 
     def __init__(
         self,
@@ -221,15 +307,6 @@ class PieceSequence:
         self._first = int(torch.randint(library.hop, (), generator=rng_of(-1)))
         self._chosen: list[int] = []
         self._used = np.zeros(len(library.starts), np.float32)
-
-    def state(self) -> dict[str, Any]:
-        """Return what `restore` needs."""
-        return {name: getattr(self, name) for name in _KEPT}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from the `state` of a sequence with the same arguments."""
-        for name in _KEPT:
-            setattr(self, name, state[name])
 
     @property
     def next_frame(self) -> int:
@@ -271,9 +348,6 @@ class PieceSequence:
         return share * shown + (1 - share) * library.played[before]
 
 
-_KEPT = ("_chosen", "_used")
-
-
 def played_pieces(
     library: RecordedLibrary,
     state: np.ndarray,
@@ -297,3 +371,80 @@ def played_pieces(
         frames = np.clip(pieces.next_frame + np.arange(library.piece), 0, last)
         pieces.choose(state[:, frames])
     return pieces
+
+
+_CURVES = ("state", "motion", "passive")
+
+
+def library_values(library: RecordedLibrary) -> dict[str, Any]:
+    """Return the plain values of a library."""
+    return {
+        "recordings": [[each.speaker, each.style] for each in library.recordings],
+        "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
+    }
+
+
+def library_row(library: RecordedLibrary) -> str:
+    """Return "30 joints and 50 face coefficients from 4 min of recordings, 1.2 MB of ..."."""
+    passive = library.passive
+    what = [counted(len(passive.joints), "joint")] if passive.joints else []
+    what += [counted(passive.expressions, "face coefficient")] if passive.expressions else []
+    size = sum(tensor.numel() for tensor in library_tensors(library).values()) * 4 / 1e6
+    seconds = len(library.played) / library.fps
+    played = "the whole body" if library.is_whole else " and ".join(what)
+    return f"{played} from {roughly(seconds)} of recordings, {size:.1f} MB of model.safetensors"
+
+
+def library_tensors(library: RecordedLibrary) -> dict[str, Tensor]:
+    """Return the tensors of a library by name."""
+    return {
+        f"recorded.{i}.{name}": getattr(recording, name).contiguous()
+        for i, recording in enumerate(library.recordings)
+        for name in _CURVES
+    }
+
+
+def load_library(
+    parts: ModelParts, representation: MultiresRepresentation, n_channels: int
+) -> RecordedLibrary | None:
+    """Read what `library_values` and `library_tensors` wrote; None for a model without.
+
+    `n_channels` is the number of channels of the state of movement.
+
+    Raises:
+        ValueError: tensors whose shapes do not fit the model, or that are not finite.
+    """
+    values, tensors = parts.config["recorded"], parts.tensors
+    if values is None:
+        return None
+    passive = PassiveChannels(
+        tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
+    )
+    for name in passive.joints:
+        representation.skeleton.index(name)
+    recordings = tuple(
+        RecordedMotion(
+            **{name: tensors[f"recorded.{i}.{name}"].float() for name in _CURVES},
+            speaker=speaker,
+            style=int(style),
+        )
+        for i, (speaker, style) in enumerate(values["recordings"])
+    )
+    if not recordings:
+        raise ValueError("recorded: no recording")
+    library = RecordedLibrary(float(parts.config["fps"]), passive, recordings)
+    sizes = {
+        "state": n_channels + 1,
+        "motion": representation.n_features if library.is_whole else 0,
+        "passive": 6 * len(passive.joints) + passive.expressions,
+    }
+    for i, recording in enumerate(recordings):
+        n_frames = recording.state.shape[-1]
+        for name, size in sizes.items():
+            curves = getattr(recording, name)
+            if tuple(curves.shape) != (size, n_frames) or not n_frames:
+                shape = tuple(curves.shape)
+                raise ValueError(f"recorded.{i}.{name} has the shape {shape}, not {size} rows")
+            if not torch.isfinite(curves).all():
+                raise ValueError(f"recorded.{i}.{name} has numbers that are not finite")
+    return library

@@ -1,18 +1,72 @@
-"""State process in a model folder: plain values and tensors, and back."""
+"""State of movement in files: a given state, and the process in a model folder."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.state.ahead import ahead_tensors, ahead_values, load_ahead
+from gesturekit.errors import FormatError, ModelError
 from gesturekit.state.channels import StateChannels
+from gesturekit.state.live import ahead_tensors, ahead_values, load_ahead
 from gesturekit.state.prediction import WantedMovement
 from gesturekit.state.process import Group, StateProcess
+
+
+def check_drawn(controls: Mapping[str, object], process: StateProcess | None) -> None:
+    """Raise ModelError for controls of the state of movement that have no effect.
+
+    Args:
+        controls: of a request.
+        process: of the model; None for a model without a state of movement.
+    """
+    if controls["state"] is not None and process is None:
+        raise ModelError("state: this model was trained without the state of movement")
+    for name, unset in (("liveliness", 1), ("mood_seed", None)):
+        value = controls[name]
+        if value == unset:
+            continue
+        if process is None:
+            raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
+        for other in ("like", "state"):
+            if controls[other] is not None:
+                raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")
+
+
+def given_state(process: StateProcess, state: str | Path | np.ndarray, n_frames: int) -> np.ndarray:
+    """Return a state (T, C) of a process, cut to a motion of T frames or held to its end.
+
+    Args:
+        process: of the model.
+        state: (frames, C), or a .npy file of it.
+        n_frames: T.
+
+    Raises:
+        ModelError: a state of another width, empty, or not finite.
+        FormatError: its file cannot be read.
+    """
+    if not isinstance(state, np.ndarray):
+        try:
+            state = np.load(state, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise FormatError(
+                f"{state}: not a .npy file of numbers, as numpy.save writes model.state"
+            ) from error
+    if state.dtype.kind not in "fiu":
+        raise ModelError(f"state: its type is {state.dtype}, not a number")
+    state, width = state[:n_frames].astype(float), len(process.channels.names)
+    if state.ndim != 2 or state.shape[1] != width or not len(state):
+        raise ModelError(
+            f"state: shape {state.shape}, not (frames, {width}); as model.state returns it"
+        )
+    if not np.isfinite(state).all():
+        raise ModelError("state: not all of its values are finite")
+    return np.pad(state, ((0, max(0, n_frames - len(state))), (0, 0)), mode="edge")[:n_frames]
+
 
 _SHAPES: dict[str, tuple[str, ...]] = {
     "silence": ("S",),
@@ -59,7 +113,7 @@ def state_tensors(process: StateProcess) -> dict[str, Tensor]:
     quantiles = np.stack(list(process.quantiles.values()))
     arrays = {name: getattr(process, name) for name in _SHAPES} | {"quantiles": quantiles}
     tensors = {
-        f"state.{name}": torch.from_numpy(np.array(own, float)) for name, own in arrays.items()
+        f"state.{name}": torch.from_numpy(np.array(array, float)) for name, array in arrays.items()
     }
     tensors |= ahead_tensors(process.ahead, "state")
     return tensors | ({} if process.wanted is None else process.wanted.tensors("state"))
@@ -101,8 +155,8 @@ def load_state(
         fps=fps,
         wanted=wanted,
         take=float(np.clip(values["take"], *_TAKE)),
-        **{name: own for name, own in arrays.items() if name != "quantiles"},
-        quantiles=dict(zip(groups, arrays["quantiles"], strict=True)),
+        quantiles=dict(zip(groups, arrays.pop("quantiles"), strict=True)),
+        **arrays,
         ahead=load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps),
     )
     try:
@@ -124,9 +178,9 @@ def _check(
     n, n_fast = len(channels.names), int(channels.fast.sum())
     sizes = {"S": speech_size, "C": n, "F": n_fast, "C - F": n - n_fast, "G": groups}
     sizes |= {"2": 2, "3": 3}
-    own = {"R": "kernel", "Q": "quantiles", "P": "response"}
-    sizes |= {size: arrays[name].shape[-1] for size, name in own.items()}
-    lengths = [sizes[size] for size in own]
+    free = {"R": "kernel", "Q": "quantiles", "P": "response"}
+    sizes |= {size: arrays[name].shape[-1] for size, name in free.items()}
+    lengths = [sizes[size] for size in free]
     if not (sizes["R"] % 2 and max(lengths) <= _MOST_POINTS and min(lengths[1:]) > 1):
         raise ValueError("state: filters, quantiles or responses of a wrong length")
     for name, axes in _SHAPES.items():

@@ -1,10 +1,11 @@
-"""Stream of sound in, stream of motion out."""
+"""Stream of sound in, stream of motion out, with feet locked without knowledge of the future."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -18,19 +19,121 @@ from audio_features.acoustic.streaming import check_streams
 from gesturekit.errors import ModelError
 from gesturekit.model import control_entries
 from gesturekit.motion.concatenation import stacked
+from gesturekit.motion.ik import two_bone_ik
+from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import find_legs, leg_length
+from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.constraints.keyframes import moved
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.retrieval.library import PieceSequence
+from gesturekit.multires.retrieval import PieceSequence, Resumable
 from gesturekit.multires.sampling.conditions import requested_styles
+from gesturekit.multires.sampling.keyframes import moved
 from gesturekit.multires.sampling.trained_model import TrainedModel, finite
-from gesturekit.multires.streaming.features import SpeechStream
-from gesturekit.multires.streaming.feet import FootHold
-from gesturekit.multires.streaming.levels import WindowLevels
-from gesturekit.multires.streaming.live_state import Forecast, LiveChoice, LiveState
-from gesturekit.state.ahead import AheadPrediction, FeatureWindow
+from gesturekit.multires.stream_window import (
+    Forecast,
+    LiveState,
+    SpeechStream,
+    WindowLevels,
+)
+from gesturekit.postprocess.foot import feet_of_legs
+from gesturekit.state.live import AheadPrediction, FeatureWindow
 from gesturekit.training.seeds import checked_item, checked_seed, rng_for
+
+_FURTHEST = 0.1
+"""A standing foot is kept within this share of the leg length from where it would be."""
+_RELEASE_SECONDS = 0.12
+"""Time constant with which a lifted foot returns to its own path."""
+_FOLLOW_SECONDS = 0.5
+"""Time constant with which the body follows standing feet."""
+
+
+class FootHold(Resumable):
+    """Standing feet that are kept in place.
+
+    A foot stays where it came to stand, by inverse kinematics of the leg. What both feet have in
+    common moves the body instead: their slow slide.
+
+    Args:
+        skeleton: of the stream; one without two identifiable legs does not change.
+        fps: frames per second.
+    """
+
+    kept = ("_shift", "_moved", "_anchors")
+
+    def __init__(self, skeleton: Skeleton, fps: float) -> None:
+        self._fps, self._feet = fps, None
+        if find_legs(skeleton) is not None:
+            # Only the legs and the joints above them are computed.
+            self._joints, self._feet = feet_of_legs(skeleton)
+            index = {joint: k for k, joint in enumerate(self._joints)}
+            self._legs = Skeleton(
+                tuple(skeleton.names[joint] for joint in self._joints),
+                tuple(index.get(skeleton.parents[joint], -1) for joint in self._joints),
+                skeleton.offsets[self._joints],
+            )
+            self._reach = _FURTHEST * leg_length(skeleton)
+        self._shift = np.zeros(3)
+        self._moved = np.zeros((2, 3))
+        self._anchors = np.full((2, 3), np.nan)
+
+    def __call__(
+        self,
+        motion: Motion,
+        contacts: np.ndarray,
+        displaced: Callable[[Motion, np.ndarray], Motion],
+    ) -> Motion:
+        """Return the next frame with standing feet in place.
+
+        Args:
+            motion: one frame.
+            contacts: (F,) labels of `gesturekit.motion.contacts.foot_points`, above 0.5 if a point
+                stands.
+            displaced: returns a motion with its root displaced by (2,) metres of x and z.
+        """
+        if self._feet is None:
+            return motion
+        legs, rotations = self._legs, motion.rotations[:, self._joints]
+        moving = {n: v for n, v in motion.joint_translations.items() if n in legs.names}
+        positions = forward_kinematics(rotations, motion.translation, legs, moving)
+        world = global_rotations(rotations, legs)
+        ankles = positions[0, [foot.ankle for foot in self._feet]]
+        columns = [[k for anchor in foot.anchors for k in anchor.columns] for foot in self._feet]
+        self._follow(ankles, np.array([(contacts[points] > 0.5).any() for points in columns]))
+        limbs = np.array([foot.limb for foot in self._feet])
+        bones, joints = limbs[:, :2], positions[0, limbs] + self._shift
+        rotations[0, bones] = two_bone_ik(
+            joints,
+            ankles + self._shift + self._moved,
+            rotations[0, bones],
+            world[0, np.array(legs.parents)[bones]],
+            pole=joints[:, 1] - joints[:, 0],
+        )
+        reached = global_rotations(rotations, legs)
+        for foot in self._feet:
+            back = invert_quaternions(reached[:, legs.parents[foot.ankle]])
+            rotations[:, foot.ankle] = multiply_quaternions(back, world[:, foot.ankle])
+        whole = motion.rotations.copy()
+        whole[:, self._joints] = rotations
+        return replace(displaced(motion, self._shift[[0, 2]]), rotations=whole)
+
+    def _follow(self, ankles: np.ndarray, stands: np.ndarray) -> None:
+        """Update the corrections for a frame with ankles (2, 3), two of which may stand."""
+        shifted = ankles + self._shift
+        new = stands & np.isnan(self._anchors[:, 0])
+        self._anchors[new] = (shifted + self._moved)[new]
+        self._anchors[~stands] = np.nan
+        self._moved[~stands] *= math.exp(-1 / (_RELEASE_SECONDS * self._fps))
+        away = (self._anchors - shifted)[stands] * [1.0, 0.0, 1.0]
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        away *= np.minimum(1.0, self._reach / np.maximum(length, 1e-9))
+        self._moved[stands] = away
+        self._anchors[stands] = (shifted[stands] + away) * [1.0, 0.0, 1.0]
+        if stands.any():
+            common = away.mean(axis=0) * (1 - math.exp(-1 / (_FOLLOW_SECONDS * self._fps)))
+            self._shift += common
+            self._moved[stands] -= common
+
 
 _AROUND_SECONDS = 1.6
 """Seconds before and after a frame that its finer levels are computed from."""
@@ -50,7 +153,7 @@ _CONTROLS = ("style", "speaker", "liveliness", "mood_seed", "foot_lock", "smooth
 """Controls that a stream takes."""
 
 
-class MultiresStream:
+class MultiresStream(Resumable):
     """Motion that is generated while sound comes in.
 
     Frame k of the stream belongs to k / fps seconds of the sound. It depends on the sound up to
@@ -76,6 +179,8 @@ class MultiresStream:
         ModelError: a model that cannot stream, or a control that a stream does not take.
         AudioError: a sample rate out of range.
     """
+
+    kept = ("n_frames", "_steps", "_samples", "_place", "_slow", "_recent")
 
     def __init__(
         self,
@@ -108,12 +213,15 @@ class MultiresStream:
         reach = len(self._kernel) // 2
         used = np.arange(-_LATER - reach, _BLEND - _LATER + reach) + self._around
         self._levels = WindowLevels(model, lengths, styles, range(used[0], used[-1] + 1))
-        choice = LiveChoice(
-            seed, item, controls["speaker"], style, controls["liveliness"], controls["mood_seed"]
-        )
         assert model.state_process is not None
         self._process = model.state_process
-        self._state = LiveState(model.state_process, choice, self._around)
+        mood_seed = seed if controls["mood_seed"] is None else controls["mood_seed"]
+        seeds = (
+            rng_for(mood_seed, item, "live", "mood").initial_seed() >> 1,
+            rng_for(seed, item, "live", "carriers").initial_seed() >> 1,
+        )
+        group = controls["speaker"], style
+        self._state = LiveState(self._process, self._around, seeds, group, controls["liveliness"])
         self._pieces = None
         if model.library is not None:
             self._pieces = PieceSequence(
@@ -123,9 +231,9 @@ class MultiresStream:
                 None if style is None else lambda _: style,
             )
         self._slow = np.zeros(2)  # sum and count of slow predictions
-        own = None if controls["speaker"] is None else model.speakers[controls["speaker"]]
-        self._own = own
-        self.skeleton: Skeleton = model.skeleton if own is None else own
+        body = None if controls["speaker"] is None else model.speakers[controls["speaker"]]
+        self._body = body
+        self.skeleton: Skeleton = model.skeleton if body is None else body
         self._feet = FootHold(self.skeleton, model.fps) if controls["foot_lock"] else None
         self._place = np.zeros(2)
         self._recent = list[np.ndarray]()
@@ -141,17 +249,16 @@ class MultiresStream:
 
     def state(self) -> dict[str, Any]:
         """Return everything that `restore` needs, as numbers and arrays."""
-        own = {name: getattr(self, name) for name in _STATE}
         parts = {name: getattr(self, name) for name in _PARTS}
         return copy.deepcopy(
-            own | {name: part.state() for name, part in parts.items() if part is not None}
+            super().state()
+            | {name: part.state() for name, part in parts.items() if part is not None}
         )
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from the `state` of a stream with the same arguments."""
         state = copy.deepcopy(dict(state))
-        for name in _STATE:
-            setattr(self, name, state[name])
+        super().restore(state)
         for name in _PARTS:
             if (part := getattr(self, name)) is not None:
                 part.restore(state[name])
@@ -199,7 +306,7 @@ class MultiresStream:
     def _vectors(self, window: FeatureWindow) -> np.ndarray:
         """Return the motion vectors (D, N) of the frames that are made with the current one."""
         speech = self._features(window)
-        state = self._state.advance(speech, *self._predicted(window))
+        state = self._state.advance(speech, self._predicted(window))
         self._choose_pieces(speech)
         made = self._levels(speech, state)
         around = made.unfold(1, len(self._kernel), 1)
@@ -214,7 +321,7 @@ class MultiresStream:
         As coarse frames lie elsewhere in each window, one alone would tremble.
         """
         weights = np.hanning(_BLEND + 2)[1 : len(self._recent) + 1]
-        made = [own[:, i] for i, own in enumerate(self._recent)]
+        made = [vectors[:, i] for i, vectors in enumerate(self._recent)]
         mean = torch.from_numpy(np.average(made, axis=0, weights=weights).astype(np.float32))
         return finite(self.model.normaliser.to_values(mean[None, :, None])[0])
 
@@ -231,27 +338,27 @@ class MultiresStream:
         played = torch.from_numpy(self._pieces.values(np.array([self.n_frames])).T)
         return self.model.library.passive.applied(frame, lambda _: played)
 
-    def _predicted(self, window: FeatureWindow) -> tuple[Forecast | None, float | None]:
+    def _predicted(self, window: FeatureWindow) -> Forecast | None:
         """Return predictions of fast and slow movement; None without."""
         if (wanted := self._process.wanted) is None:
-            return None, None
-        found = [prediction(window, wanted) for prediction in self._predictions]
-        fast = np.array([fast for fast, _ in found])
+            return None
+        predictions = [prediction(window, wanted) for prediction in self._predictions]
+        fast = np.array([fast for fast, _ in predictions])
         shares = np.array([prediction.share(wanted) for prediction in self._predictions])
-        slow = found[0][1]
+        slow = predictions[0][1]
         # The mean so far counts less, as in `WantedMovement`.
         self._slow = self._slow + (slow, 1.0)
         mean = self._slow[0] / (self._slow[1] + _STEADY_SECONDS * self.fps)
         slow -= (1 - wanted.mean_counts) * mean
-        return Forecast(self._horizons, fast, self._predictions[0].fast.r, shares), slow
+        return Forecast(self._horizons, fast, shares, slow)
 
     def _features(self, window: FeatureWindow) -> np.ndarray:
         """Return the speech features (2 around, S) around the current frame."""
         known = window.rows[-(self._around + 1 + self._ahead) :]
         held = window.rows[-round(_HELD_SECONDS * self.fps) :].mean(axis=0, keepdims=True)
-        found = np.repeat(held, 2 * self._around, axis=0)
-        found[: len(known)] = known
-        return found
+        features = np.repeat(held, 2 * self._around, axis=0)
+        features[: len(known)] = known
+        return features
 
     def _placed(self, vector: np.ndarray) -> Motion:
         """Return the frame of a motion vector (D,), which goes on where the last one ended."""
@@ -260,8 +367,8 @@ class MultiresStream:
         if self.n_frames:
             stays = 1 - 1 / (_HOME_SECONDS * self.fps)
             self._place = stays * self._place + vector[layout.root_xz]
-        motion = representation.decode(vector[None], self.fps, skeleton=self._own)
-        size = representation.scale * representation.size_of(self._own)
+        motion = representation.decode(vector[None], self.fps, skeleton=self._body)
+        size = representation.scale * representation.size_of(self._body)
         motion = moved(representation, motion, size * self._place)
         if self._feet is None:
             return motion
@@ -298,10 +405,10 @@ def _predictions(
             "the model has no predictions for live speech: "
             f"gesturekit live --fit corpus.jsonl --model {where} adds them"
         )
-    found = [one for one in model.ahead if one.look_ahead <= look_ahead + 1e-9]
-    if not (math.isfinite(look_ahead) and found):
+    usable = [each for each in model.ahead if each.look_ahead <= look_ahead + 1e-9]
+    if not (math.isfinite(look_ahead) and usable):
         raise ModelError(f"look_ahead={look_ahead}: seconds from 0, such as 0.2")
-    return sorted(found, key=lambda one: -one.look_ahead)
+    return sorted(usable, key=lambda each: -each.look_ahead)
 
 
 def _styles(
@@ -312,10 +419,9 @@ def _styles(
         return [], None
     rng = rng_for(seed, item, "live", "style")
     styles = requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
-    if any((own != own[..., :1]).any() for own in styles):
+    if any((track != track[..., :1]).any() for track in styles):
         raise ModelError(f"style={controls['style']!r}: a stream takes one style, without times")
     return styles, int(styles[0][0, :, 0].argmax())
 
 
-_STATE = ("n_frames", "_steps", "_samples", "_place", "_slow", "_recent")
 _PARTS = ("_speech", "_state", "_pieces", "_feet")

@@ -92,25 +92,22 @@ class AheadPrediction:
             columns: sets of columns for the fast part, the largest first.
             rate: samples per second.
         """
-        folds = folds_of([len(own) for own in fast], takes, round(GAP_SECONDS * rate))
-        effort = list(wanted.effort)
-        fast_sets = [np.array(own) for own in columns if len(own)]
-        slow_sets = [np.array([*own, *effort], int) for own in columns if len(own)]
-
-        def fitted(curves: Sequence[np.ndarray], inputs: list[list[np.ndarray]]) -> Regression:
-            return Regression.fit([np.stack(own) for own in inputs], curves, folds)
-
-        of_fast = [
-            fitted(
-                fast,
-                [[_flat(last_bins(one, wanted.fps), own) for one in rows] for rows in speeches],
-            )
-            for own in fast_sets
-        ]
-        of_slow = [
-            fitted(slow, [[_flat(one.averages, own) for one in rows] for rows in speeches])
-            for own in slow_sets
-        ]
+        folds = folds_of([len(curve) for curve in fast], takes, round(GAP_SECONDS * rate))
+        fast_sets = [np.array(numbers) for numbers in columns if len(numbers)]
+        slow_sets = [np.array([*numbers, *wanted.effort], int) for numbers in fast_sets]
+        of_fast, of_slow = list[Regression](), list[Regression]()
+        for numbers in fast_sets:
+            inputs = [
+                np.stack([_flat(last_bins(window, wanted.fps), numbers) for window in windows])
+                for windows in speeches
+            ]
+            of_fast.append(Regression.fit(inputs, fast, folds))
+        for numbers in slow_sets:
+            inputs = [
+                np.stack([_flat(window.averages, numbers) for window in windows])
+                for windows in speeches
+            ]
+            of_slow.append(Regression.fit(inputs, slow, folds))
         i, j = nearly_best(of_fast), nearly_best(of_slow)
         return cls(look_ahead, fast_sets[i], slow_sets[j], of_fast[i], of_slow[j])
 
@@ -130,10 +127,9 @@ def live_rows(ahead: Sequence[AheadPrediction]) -> dict[str, str]:
     """Return the correlations for live speech by look-ahead, for the README; empty without."""
     if not ahead:
         return {}
-    fast, slow = (
-        ", ".join(f"{getattr(one, part).r:.2f}" for one in ahead) for part in ("fast", "slow")
-    )
-    seconds = ", ".join(f"{one.look_ahead:g}" for one in ahead)
+    seconds = ", ".join(f"{prediction.look_ahead:g}" for prediction in ahead)
+    fast = ", ".join(f"{prediction.fast.r:.2f}" for prediction in ahead)
+    slow = ", ".join(f"{prediction.slow.r:.2f}" for prediction in ahead)
     return {"Live": f"with {seconds} s of look-ahead, r = {fast} (calm or lively {slow})"}
 
 
@@ -141,20 +137,20 @@ def ahead_values(ahead: Sequence[AheadPrediction]) -> list[dict[str, Any]]:
     """Return the plain values of a model folder."""
     return [
         {
-            "look_ahead": one.look_ahead,
-            "fast_columns": one.fast_columns.tolist(),
-            "slow_columns": one.slow_columns.tolist(),
+            "look_ahead": prediction.look_ahead,
+            "fast_columns": prediction.fast_columns.tolist(),
+            "slow_columns": prediction.slow_columns.tolist(),
         }
-        for one in ahead
+        for prediction in ahead
     ]
 
 
 def ahead_tensors(ahead: Sequence[AheadPrediction], where: str) -> dict[str, Tensor]:
     """Return the tensors of a model folder, by names that begin with `where`."""
     tensors: dict[str, Tensor] = {}
-    for i, one in enumerate(ahead):
-        tensors |= one.fast.tensors(f"{where}.ahead.{i}.fast")
-        tensors |= one.slow.tensors(f"{where}.ahead.{i}.slow")
+    for i, prediction in enumerate(ahead):
+        tensors |= prediction.fast.tensors(f"{where}.ahead.{i}.fast")
+        tensors |= prediction.slow.tensors(f"{where}.ahead.{i}.slow")
     return tensors
 
 
@@ -171,26 +167,27 @@ def load_ahead(
     Raises:
         ValueError: values out of range, or that do not fit the speech features.
     """
-    found = tuple(
-        AheadPrediction(
-            float(row["look_ahead"]),
+    inputs, averages = (np.zeros((n, speech_size)) for n in (round(fps) + 1, 2))
+    ahead = []
+    for i, row in enumerate(rows):
+        look_ahead = float(row["look_ahead"])
+        if not 0 <= look_ahead <= 1:
+            raise ValueError(f"{where}: ahead.look_ahead is {look_ahead}, not from 0 to 1")
+        prediction = AheadPrediction(
+            look_ahead,
             np.array(row["fast_columns"], int),
             np.array(row["slow_columns"], int),
-            *(Regression.load(tensors, f"{where}.ahead.{i}.{part}") for part in ("fast", "slow")),
+            Regression.load(tensors, f"{where}.ahead.{i}.fast"),
+            Regression.load(tensors, f"{where}.ahead.{i}.slow"),
         )
-        for i, row in enumerate(rows)
-    )
-    inputs, averages = (np.zeros((n, speech_size)) for n in (round(fps) + 1, 2))
-    for one in found:
-        if not 0 <= one.look_ahead <= 1:
-            raise ValueError(f"{where}: ahead.look_ahead is {one.look_ahead}, not from 0 to 1")
         try:
             if wanted is None:
                 raise ValueError("those of the whole sound are missing")
-            one(FeatureWindow(inputs, averages), wanted)
+            prediction(FeatureWindow(inputs, averages), wanted)
         except (AttributeError, IndexError, ValueError) as error:
             raise ValueError(f"{where}: live predictions do not fit ({error})") from None
-    return found
+        ahead.append(prediction)
+    return tuple(ahead)
 
 
 def _flat(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -1,6 +1,12 @@
-"""Skeleton-aware convolution: each joint is connected to the joints near it in the skeleton's tree.
+"""Layers along time and along the skeleton, of which the networks are made.
 
-Aberman et al. 2020, in the form of Li et al. 2022 (GANimator). The channels of a frame are split
+Resampling and padding are index operations: torch has deterministic backward passes of these on a
+GPU (`torch.use_deterministic_algorithms`), but not of its own interpolation and reflection padding.
+On a CPU numpy gathers frames several times faster than torch. The interpolation weights are those
+of the audio front-end, so that motion and speech features have the same frame times.
+
+A skeleton-aware convolution connects each joint to the joints near it in the skeleton's tree
+(Aberman et al. 2020, in the form of Li et al. 2022, GANimator). The channels of a frame are split
 into blocks: one for each modelled joint and each foot contact, and one for the root's displacement.
 """
 
@@ -9,6 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,11 +24,87 @@ import torch.nn.functional as F
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
+from audio_features.pyramid import interpolation_weights
 from gesturekit.errors import ConfigError
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.network.resampling import reflect
+
+
+@lru_cache(maxsize=4096)
+def _weights(n_in: int, n_out: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
+    low, high, weight = map(torch.from_numpy, interpolation_weights(n_in, n_out))
+    return low, high, weight.to(dtype)
+
+
+def resample(x: Tensor, n_frames: int) -> Tensor:
+    """Return x (..., T) as (..., n_frames): linear interpolation with align_corners=False."""
+    if x.shape[-1] == n_frames:
+        return x
+    return _interpolate(x, *_weights(x.shape[-1], n_frames, x.dtype))
+
+
+def resample_part(x: Tensor, n_frames: int, start: int, stop: int) -> Tensor:
+    """Return frames `start` to `stop` of `resample(x, n_frames)`, equal in every bit."""
+    if x.shape[-1] == n_frames:
+        return x[..., start:stop]
+    if (start, stop) == (0, n_frames):
+        return resample(x, n_frames)
+    low, high, weight = map(
+        torch.from_numpy, interpolation_weights(x.shape[-1], n_frames, start, stop)
+    )
+    return _interpolate(x, low, high, weight.to(x.dtype))
+
+
+def _interpolate(x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
+    """Interpolate between frames `low` and `high`, (n,) each, of x (..., T): (..., n)."""
+    if x.device.type == "cpu" and x.dtype == torch.float32:
+        return _Interpolate.apply(x, low, high, weight)
+    low, high, weight = (part.to(x.device) for part in (low, high, weight))
+    below = x.index_select(-1, low)
+    return below + weight * (x.index_select(-1, high) - below)
+
+
+class _Interpolate(torch.autograd.Function):
+    """`_interpolate` of float32 on a CPU, equal in every bit, and its transpose."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, low: Tensor, high: Tensor, weight: Tensor) -> Tensor:
+        ctx.n_frames = x.shape[-1]
+        ctx.places = low, high, weight
+        frames = x.numpy()
+        below, made = (frames.take(index.numpy(), axis=-1) for index in (low, high))
+        made -= below
+        made *= weight.numpy()
+        made += below
+        return torch.from_numpy(made)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None, None]:
+        low, high, weight = ctx.places
+        # Time comes first: index_add_ is fast where it adds whole rows. Frame by frame, low before
+        # high, is the order of the sums.
+        gradient = gradient.movedim(-1, 0).contiguous()
+        above = weight.reshape(-1, *[1] * (gradient.ndim - 1)) * gradient
+        parts = torch.stack([gradient - above, above], dim=1).flatten(0, 1)
+        made = gradient.new_zeros(ctx.n_frames, *gradient.shape[1:])
+        made.index_add_(0, torch.stack([low, high], dim=1).flatten(), parts)
+        return made.movedim(0, -1).contiguous(), None, None, None
+
+
+@lru_cache(maxsize=4096)
+def _reflection(n_frames: int, padding: int) -> Tensor:
+    period = max(1, 2 * (n_frames - 1))
+    index = torch.arange(-padding, n_frames + padding).remainder(period)
+    return torch.minimum(index, period - index).clamp(max=n_frames - 1)
+
+
+def reflect(x: Tensor, padding: int) -> Tensor:
+    """Pad x (..., T) by reflection to (..., T + 2 padding); short signals reflect repeatedly."""
+    return x.index_select(-1, _reflection(x.shape[-1], padding).to(x.device))
+
 
 Modules = TypeVar("Modules", bound=nn.Module)
 _MOST_WEIGHTS = 1 << 27  # of a dense kernel; GANimator's have 0.3 million

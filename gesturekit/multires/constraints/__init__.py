@@ -1,1 +1,0 @@
-"""Constraints on generated motion: paths, keyframes, in-betweening."""

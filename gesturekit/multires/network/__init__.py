@@ -1,1 +1,0 @@
-"""Networks of the pyramid in plain torch."""

@@ -1,1 +1,0 @@
-"""Motion while the person speaks: a stream of sound in, a stream of motion out."""
