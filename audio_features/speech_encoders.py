@@ -163,7 +163,8 @@ class LayerChoice:
             chosen = list(range(top + 1))
             weights = [1.0] * len(chosen)
         else:
-            chosen = [top] if layer == "last" else [*self.spec] if self.is_list else [layer]
+            several = layer if isinstance(layer, list | tuple) else [layer]
+            chosen = [top] if layer == "last" else list(several)
         for index in chosen:
             if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index <= top:
                 raise FeatureError(

@@ -79,16 +79,20 @@ def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) ->
 
 def conclusion(found: QuestionAgreement) -> str:
     """Return in one sentence which metrics order the models as people do."""
-    tested = [one for one in found.metrics if one.p_holm is not None]
-    certain = [one for one in tested if one.p_holm < 1.0 - LEVEL]
+    tested = [
+        (DEFINITIONS[one.key].name, one.of_models, one.p_holm)
+        for one in found.metrics
+        if one.of_models is not None and one.p_holm is not None
+    ]
     about = f" for {printable(found.question)}" if found.question else ""
+    certain = [(name, tau) for name, tau, p in tested if p < 1.0 - LEVEL]
     sides = [
-        f"{listed([DEFINITIONS[one.key].name for one in side])} {what}"
-        for side, what in (
-            ([one for one in certain if one.of_models > 0], "as people do"),
-            ([one for one in certain if one.of_models < 0], "the other way round"),
+        f"{listed(names)} {what}"
+        for names, what in (
+            ([name for name, tau in certain if tau > 0], "as people do"),
+            ([name for name, tau in certain if tau < 0], "the other way round"),
         )
-        if side
+        if names
     ]
     if sides:
         return f"Established{about}: ordered {' and '.join(sides)} (Holm, {len(tested)} metrics)."

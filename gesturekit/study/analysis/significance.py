@@ -124,7 +124,6 @@ def share(scores: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> Estimate:
         rater, clip: (n,) index of the rater and of the clip of each.
     """
     from scipy.stats import norm, t
-    from statsmodels.stats.proportion import proportion_confint
 
     kept = scores != 0
     won, rater, clip = scores[kept] > 0, rater[kept], clip[kept]
@@ -139,7 +138,8 @@ def share(scores: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> Estimate:
         variance, freedom = _variance((won - value) / len(won), rater, clip)
         wider = (t.ppf(0.975, freedom) / norm.ppf(0.975)) ** 2
         n = min(float(len(won)), value * (1.0 - value) / max(variance * wider, 1e-12))
-    low, high = proportion_confint(value * n, n, method="wilson")
+    wilson = statsmodels_module("stats.proportion").proportion_confint
+    low, high = wilson(value * n, n, method="wilson")
     return Estimate(value, float(low), float(high))
 
 
