@@ -163,8 +163,8 @@ class LayerChoice:
             chosen = list(range(top + 1))
             weights = [1.0] * len(chosen)
         else:
-            several = layer if isinstance(layer, list | tuple) else [layer]
-            chosen = [top] if layer == "last" else list(several)
+            several: list[Any] = list(layer) if isinstance(layer, list | tuple) else [layer]
+            chosen = [top] if layer == "last" else several
         for index in chosen:
             if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index <= top:
                 raise FeatureError(
