@@ -101,7 +101,7 @@ class Batch:
             raise ConfigError(f"{self.out}: cannot be written to; give another folder")
         processor, (number, count) = self.processor, self.execution.shard
         run = digest_of([processor.settings, processor.written, count])
-        with claimed(self.state, f"shard {number} of {count}", run):
+        with claimed(self.state, f"shard-{number}-of-{count}", run):
             try:
                 write_items(self.state, self._names, count, processor.about)
                 yield from self._results()
