@@ -69,15 +69,15 @@ def open_sound(name: str) -> Iterator[soundfile.SoundFile]:
     except (soundfile.LibsndfileError, OSError, TypeError, UnicodeError, MemoryError) as error:
         # soundfile raises TypeError for files named .raw, and UnicodeError for undecodable names.
         with path.open("rb") as content:
-            head = content.read(2)
-        if head[:1] == b"\x80" and head[1:] <= b"\x05":
+            head = content.read(8)
+        if head[:1] == b"\x80" and head[1:2] <= b"\x05":
             message = f"{name}: a Python pickle, not sound; it could run code and is not read"
             raise AudioError(message) from error
         reason = str(error).rpartition(f"{name!r}: ")[2].rstrip(".")
         raw_line = _ffmpeg_line(name, "-f s16le -ar 16000 -ac 1 ")
         raise AudioError(
-            f"{name}: cannot be read as sound ({reason}): give a wav, flac, ogg, mp3 or aiff file, "
-            f"or run {_ffmpeg_line(name)} (raw samples: {raw_line})"
+            f"{name}: cannot be read as sound ({reason}; it begins with {head!r}): give a wav, "
+            f"flac, ogg, mp3 or aiff file, or run {_ffmpeg_line(name)} (raw samples: {raw_line})"
         ) from error
 
 

@@ -111,7 +111,12 @@ def inspect_run(folder: Path) -> Summary:
 
 
 def _numbers(values: dict[str, Any]) -> str:
-    known = {key: value for key, value in values.items() if isinstance(value, int | float)}
+    # Whole numbers of any length are JSON.
+    known = {
+        k: v
+        for k, v in values.items()
+        if isinstance(v, float) or (isinstance(v, int) and abs(v) < 2**63)
+    }
     return ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in known.items())
 
 

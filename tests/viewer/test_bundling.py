@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from gesturekit.viewer.player.bundle import bundle
+from gesturekit.viewer.player import bundle
 
 NODE = """#!{python}
 import pathlib, sys

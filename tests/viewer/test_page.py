@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from audio_features import Wave
 from gesturekit.motion import Motion
 from gesturekit.viewer import write_html
-from gesturekit.viewer.player.bundle import bundle
+from gesturekit.viewer.player import bundle
 
 pytestmark = bundled
 
