@@ -216,11 +216,12 @@ def defects(metrics: Results) -> list[str]:
 
     found = []
     beyond, apart, covered = value("joint_limits"), value("one_nn"), value("within_reach")
-    if beyond is not None and beyond > own("joint_limits") + thresholds.BEYOND_LIMITS:
+    more = 0.0 if beyond is None else beyond - own("joint_limits")
+    alien = apart is not None and apart >= thresholds.TOLD_APART > own("one_nn")
+    empty = covered is not None and covered < thresholds.COVERED * own("within_reach")
+    least = thresholds.FAR_BEYOND_LIMITS if alien and empty else thresholds.BEYOND_LIMITS
+    if more > least:
         found.append(f"{beyond:.0f} % of joint rotations are beyond the recordings' range")
-    told_apart = apart is not None and apart >= thresholds.TOLD_APART > own("one_nn")
-    if told_apart and covered is not None and covered < thresholds.COVERED * own("within_reach"):
-        found.append("it covers nothing of what the recordings do")
     shaken = _ratio(metrics, "jerk_genea")
     if shaken is not None and shaken > thresholds.SHAKEN:
         found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")
