@@ -91,7 +91,7 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
     "human-likeness and 0.17 for appropriateness.",
 )  # fmt: skip
 @click.option(
-    "--clips", type=click.IntRange(min=2), default=36, show_default=True,
+    "--clips", type=click.IntRange(min=2), default=60, show_default=True,
     help="Speech segments of the study.",
 )  # fmt: skip
 @click.option(
@@ -113,7 +113,12 @@ def power(
 ) -> None:
     """Print how many raters and comparisons are needed to detect a difference by `study
     analyse`."""
-    from gesturekit.study.analysis.significance import Design, Expected, raters_needed
+    from gesturekit.study.analysis.significance import (
+        Design,
+        Expected,
+        clips_needed,
+        raters_needed,
+    )
 
     expected = Expected(win_rate, ties, clear, rater_share, clip_share)
     pairs = systems * (systems - 1) // 2
@@ -128,10 +133,13 @@ def power(
         raters = raters_needed(expected, Design(answers, clips, pairs), power)
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
-    click.echo(
-        "\nRaters are those who pass the attention checks: recruit about 10 % more. Where none\n"
-        "are enough (-), take more segments."
-    )
+    click.echo("\nRaters are those who pass the attention checks: recruit about 10 % more.")
+    least = clips_needed(expected, Design(1, clips, pairs), power)
+    if least is None or least > clips:
+        click.echo(
+            f"With {counted(clips, 'segment')} no number of raters is enough (-), as the finding is "
+            f"to hold for other segments too: take more than {least or 10_000:,} (--clips)."
+        )
 
 
 @command.command(

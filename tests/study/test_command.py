@@ -99,6 +99,9 @@ def test_the_size_of_a_study_is_printed(run):
     assert "10 pairs" in run("power", "--systems", 5).out
     few = run("power", "--clips", 4, "--clip-share", 0.17).out
     assert "4 segments" in few and re.search(r"\b3 +-", few), "no number of raters is enough"
+    least = int(re.search(r"more than (\d+)", few)[1])
+    enough = run("power", "--clips", 2 * least, "--clip-share", 0.17).out
+    assert least > 4 and not re.search(r"\b3 +-", enough) and "more than" not in enough
     needed = [row[2] for row in rows]
     assert needed == sorted(needed, reverse=True)
     for a_rater, of_a_pair, raters, in_all in rows:

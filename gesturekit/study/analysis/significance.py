@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -170,7 +170,7 @@ def anova(scores: np.ndarray, group: np.ndarray) -> Anova | None:
     )
 
 
-MOST_RATERS = 100_000
+MOST_RATERS, MOST_CLIPS = 100_000, 10_000
 
 
 @dataclass(frozen=True)
@@ -257,4 +257,16 @@ def raters_needed(expected: Expected, design: Design, power: float = 0.8) -> int
         raise ConfigError(f"power is {power}: give a probability between 0 and 1, such as 0.8")
     tried = range(2, MOST_RATERS + 1)
     at = bisect_left(tried, power, key=lambda n: power_of(expected, n, design))
+    return tried[at] if at < len(tried) else None
+
+
+def clips_needed(expected: Expected, design: Design, power: float = 0.8) -> int | None:
+    """Return the smallest number of clips with this power for 100,000 raters; None above 10,000.
+
+    Arguments as of `raters_needed`; the clips of the design do not matter.
+    """
+    tried = range(2, MOST_CLIPS + 1)
+    at = bisect_left(
+        tried, power, key=lambda n: power_of(expected, MOST_RATERS, replace(design, clips=n))
+    )
     return tried[at] if at < len(tried) else None
