@@ -137,8 +137,8 @@ def power(
     least = clips_needed(expected, Design(1, clips, pairs), power)
     if least is None or least > clips:
         click.echo(
-            f"With {counted(clips, 'segment')} no number of raters is enough (-), as the finding is "
-            f"to hold for other segments too: take more than {least or 10_000:,} (--clips)."
+            f"With {counted(clips, 'segment')} no number of raters is enough (-), as findings "
+            f"are to hold for other segments too: take more than {least or 10_000:,} (--clips)."
         )
 
 
