@@ -1,4 +1,4 @@
-"""How often does the analysis of a study say that equal systems differ?
+"""Measure how often the analysis of a study finds a difference between equal systems.
 
     python benchmarks/study_false_positives.py [--studies 400] [--seed 0]
 

@@ -136,8 +136,8 @@ class Trainer:
             self.foot_velocity = FootVelocity(data.representation, feet, config.fps).to(device)
         if data.state_process is not None and config.training.state:
             self.state_distance = StateDistance(data.representation, data.state_process).to(device)
-        hears, styles = data.conditions.conditioner is not None, data.conditions.styles
-        self.held_out = HeldOutMetrics(config, run, speech=hears, styles=styles)
+        speech, styles = data.conditions.conditioner is not None, data.conditions.styles
+        self.held_out = HeldOutMetrics(config, run, speech=speech, styles=styles)
         self.loop = Loop(config, run, processes, self.held_out)
         if processes.is_first:
             self._log_missing_parts()

@@ -217,7 +217,7 @@ def defects(metrics: Results) -> list[str]:
     found = []
     beyond, apart, covered = value("joint_limits"), value("one_nn"), value("within_reach")
     more = 0.0 if beyond is None else beyond - own("joint_limits")
-    alien = apart is not None and apart >= thresholds.TOLD_APART > own("one_nn")
+    alien = apart is not None and apart >= thresholds.SEPARABLE > own("one_nn")
     empty = covered is not None and covered < thresholds.COVERED * own("within_reach")
     least = thresholds.FAR_BEYOND_LIMITS if alien and empty else thresholds.BEYOND_LIMITS
     if more > least:

@@ -16,9 +16,9 @@ IN_TIME, LOOSELY_IN_TIME, TOO_STRICT = 0.7, 0.3, 1.3
 BEYOND_LIMITS = 45.0
 """Percentage of rotations beyond the recordings' range, more than the recordings have themselves,
 from which a body is broken. Another speaker, retargeted, has up to 30."""
-FAR_BEYOND_LIMITS, COVERED, TOLD_APART = 20.0, 0.05, 0.98
-"""The same where a motion also covers less than this share of what the recordings do, by their own
-"within reach", and is told from them in every window, by its 1-NN accuracy."""
+FAR_BEYOND_LIMITS, COVERED, SEPARABLE = 20.0, 0.05, 0.98
+"""The same where a motion also covers less than this share of the recordings' own "within reach",
+and its 1-NN accuracy is at least this."""
 SHAKEN = 5.0
 """Ratio of unfiltered jerk to the recordings' from which a body shakes."""
 

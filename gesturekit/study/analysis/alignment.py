@@ -91,10 +91,7 @@ def _matched(votes: Votes, name: str) -> Votes:
 
 def _difference(one: Votes, other: Votes) -> float:
     """Return the p-value of "both mean scores are equal"."""
-    scores, rater, clip = (
-        np.concatenate([getattr(votes, name) for votes in (one, other)])
-        for name in ("score", "rater", "clip")
-    )
+    scores, rater, clip = map(np.concatenate, zip(one.answers, other.answers, strict=True))
     return mean_test(scores, rater, clip, np.arange(len(scores)) < len(one.score))
 
 
@@ -110,15 +107,14 @@ def _score(name: str, votes: Votes, rounds: int, seed: int) -> AlignmentScore:
         with np.errstate(invalid="ignore"):
             return (won / (won + lost))[:, None]
 
-    low, high = votes.interval(alignment, rounds, seed)
-    answers = votes.score, votes.rater, votes.clip
+    (score,) = votes.estimates(alignment, rounds, seed)
     return AlignmentScore(
         name=name,
-        counts=tuple(int((votes.score == score).sum()) for score in (2, 1, 0, -1, -2)),
-        raters=len(np.unique(votes.rater)),
-        score=Estimate(float(alignment(votes.counts[None])[0, 0]), float(low[0]), float(high[0])),
-        win_rate=share(*answers),
+        counts=votes.tally,
+        raters=votes.n_raters,
+        score=score,
+        win_rate=share(*votes.answers),
         mean=float(votes.score.mean()),
-        p=mean_test(*answers),
+        p=mean_test(*votes.answers),
         p_holm=float("nan"),
     )

@@ -7,7 +7,7 @@ over all answers in which the system was shown.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -182,13 +182,17 @@ def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Pre
     total = weighted_wins(votes.counts)
     separate = connected_groups(total)
     variance = anova(*_responses(votes))
-    merit = _estimates(votes, lambda counts: merit_scores(counts)[0], rounds, seed)
-    ratings = [Estimate(float("nan"), float("nan"), float("nan"))] * len(votes.systems)
-    if len(separate) == 1:
-        ratings = _estimates(votes, lambda c: elo(fit_strengths(weighted_wins(c))), rounds, seed)
-    shown = merit_scores(votes.counts)[1]
+
+    def merit_and_elo(counts: np.ndarray) -> np.ndarray:
+        merit, _ = merit_scores(counts)
+        if len(separate) > 1:
+            return np.concatenate([merit, np.full_like(merit, np.nan)], axis=1)
+        return np.concatenate([merit, elo(fit_strengths(weighted_wins(counts)))], axis=1)
+
+    estimates = votes.estimates(merit_and_elo, rounds, seed)
+    shown, k = merit_scores(votes.counts)[1], len(votes.systems)
     systems = [
-        SystemScore(name, int(shown[i]), merit[i], ratings[i])
+        SystemScore(name, int(shown[i]), estimates[i], estimates[k + i])
         for i, name in enumerate(votes.systems)
     ]
     key = [s.merit.value if len(separate) > 1 else s.elo.value for s in systems]
@@ -217,15 +221,6 @@ def _responses(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
     return scores.astype(float), np.concatenate([votes.first, votes.second])
 
 
-def _estimates(
-    votes: Votes, statistic: Callable[[np.ndarray], np.ndarray], rounds: int, seed: int
-) -> list[Estimate]:
-    """Return each system's value of a statistic of counts, with its interval."""
-    low, high = votes.interval(statistic, rounds, seed)
-    values = statistic(votes.counts[None])[0]
-    return [Estimate(*map(float, bounds)) for bounds in zip(values, low, high)]
-
-
 def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
     tukey = variance.tukey if variance else {}
     found = []
@@ -234,16 +229,15 @@ def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
         pair = votes.between(a, b)
         if not len(pair.score):
             continue
-        answers = pair.score, pair.rater, pair.clip
         found.append(
             PairScore(
                 votes.systems[a],
                 votes.systems[b],
-                tuple(int((pair.score == score).sum()) for score in (2, 1, 0, -1, -2)),
-                len(np.unique(pair.rater)),
-                share(*answers),
+                pair.tally,
+                pair.n_raters,
+                share(*pair.answers),
                 float(pair.score.mean()),
-                mean_test(*answers),
+                mean_test(*pair.answers),
                 float("nan"),
                 tukey.get((i, j), float("nan")),
             )

@@ -14,7 +14,7 @@ from gesturekit.evaluation.statistics.answers import Answer, Answers
 from gesturekit.study.analysis.alignment import Alignment, AlignmentScore, analyse_alignment
 from gesturekit.study.analysis.preference import PairScore, Preference, analyse_preference
 from gesturekit.study.analysis.significance import ALPHA, Estimate, share, statsmodels_module
-from gesturekit.study.analysis.votes import ROUNDS
+from gesturekit.study.analysis.votes import ROUNDS, Votes
 from gesturekit.wording import counted, listed, printable
 
 
@@ -72,7 +72,7 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
         answers=answers,
         raters=len({answer.user for answer in kept}),
         clips=len({answer.clip for answer in kept}),
-        left=_left(kept),
+        left=share(*Votes.of(kept).answers),
         preference=analyse_preference(compared, rounds, seed) if compared else None,
         by_style=by_style,
         alignment=analyse_alignment(matched, rounds, seed) if matched else None,
@@ -80,15 +80,6 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
         rounds=rounds,
         seed=seed,
     )
-
-
-def _left(answers: Sequence[Answer]) -> Estimate:
-    """Return the share of preferences for the left side."""
-    rater, clip = (
-        np.unique(names, return_inverse=True)[1]
-        for names in ([a.user for a in answers], [a.clip for a in answers])
-    )
-    return share(np.array([answer.score for answer in answers]), rater, clip)
 
 
 FEW_RATERS = 15

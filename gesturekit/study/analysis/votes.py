@@ -11,6 +11,7 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.statistics.answers import Answer
+from gesturekit.study.analysis.significance import Estimate
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -77,6 +78,21 @@ class Votes:
             self.clip[kept],
         )
 
+    @property
+    def answers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Scores, raters and clips (n,), as `mean_test` and `share` take them."""
+        return self.score, self.rater, self.clip
+
+    @property
+    def n_raters(self) -> int:
+        """Number of raters."""
+        return len(np.unique(self.rater))
+
+    @property
+    def tally(self) -> tuple[int, ...]:
+        """Number of answers of each score, from 2 to -2."""
+        return tuple(int((self.score == score).sum()) for score in (2, 1, 0, -1, -2))
+
     @cached_property
     def _cells(self) -> csr_matrix:
         """Return (n, 3·k·k) with 1 at the cell of `counts` that each vote is counted in."""
@@ -127,22 +143,23 @@ class Votes:
                 weights *= rng.multinomial(n, np.full(n, 1.0 / n), size)[:, unit]
             yield self._counted(weights)
 
-    def interval(
+    def estimates(
         self, statistic: Callable[[np.ndarray], np.ndarray], rounds: int, seed: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the 95 % percentile interval over raters and clips of a statistic.
+    ) -> list[Estimate]:
+        """Return a statistic with its 95 % percentile intervals over raters and clips.
 
         Args:
             statistic: maps counts (b, 3, k, k) to values (b, s); NaN where undefined.
             rounds: number of bootstrap rounds.
-            seed: the same seed gives the same interval.
+            seed: the same seed gives the same intervals.
 
         Returns:
-            low and high (s,); NaN with a single rater.
+            s estimates; without an interval with a single rater.
         """
-        values = np.concatenate([statistic(counts) for counts in self.resampled(rounds, seed)])
-        if self.rater.max() == self.rater.min():
-            return np.full(values.shape[1], np.nan), np.full(values.shape[1], np.nan)
-        tail = (1 - LEVEL) / 2
-        low, high = np.nanquantile(values, [tail, 1 - tail], axis=0)
-        return low, high
+        values = statistic(self.counts[None])[0]
+        low = high = np.full(len(values), np.nan)
+        if self.n_raters > 1:
+            drawn = np.concatenate([statistic(counts) for counts in self.resampled(rounds, seed)])
+            tail = (1 - LEVEL) / 2
+            low, high = np.nanquantile(drawn, [tail, 1 - tail], axis=0)
+        return [Estimate(*map(float, bounds)) for bounds in zip(values, low, high, strict=True)]
