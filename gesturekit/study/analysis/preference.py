@@ -186,14 +186,17 @@ def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Pre
     def merit_and_elo(counts: np.ndarray) -> np.ndarray:
         merit, _ = merit_scores(counts)
         if len(separate) > 1:
-            return np.concatenate([merit, np.full_like(merit, np.nan)], axis=1)
+            return merit
         return np.concatenate([merit, elo(fit_strengths(weighted_wins(counts)))], axis=1)
 
     estimates = votes.estimates(merit_and_elo, rounds, seed)
     shown, k = merit_scores(votes.counts)[1], len(votes.systems)
+    unrated = [Estimate(float("nan"), float("nan"), float("nan"))] * k
     systems = [
-        SystemScore(name, int(shown[i]), estimates[i], estimates[k + i])
-        for i, name in enumerate(votes.systems)
+        SystemScore(name, int(n), merit, rating)
+        for name, n, merit, rating in zip(
+            votes.systems, shown, estimates, estimates[k:] or unrated, strict=False
+        )
     ]
     key = [s.merit.value if len(separate) > 1 else s.elo.value for s in systems]
     order = sorted(range(len(systems)), key=lambda i: (-key[i], systems[i].name))
