@@ -20,7 +20,7 @@ import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import to_y_up
-from gesturekit.formats.axes import check_up
+from gesturekit.formats.conventions import check_up
 from gesturekit.formats.registry import json_in_words
 from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_model import BodyModel

@@ -16,13 +16,18 @@ import numpy as np
 
 from gesturekit import lazy
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
-from gesturekit.motion import kinematics
-from gesturekit.motion.joint_selection import keep_joints
-from gesturekit.motion.mirroring import mirror
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
+from gesturekit.motion.rig_changes import keep_joints, mirror
 from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
-from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton, checked
+from gesturekit.motion.skeleton import (
+    FARTHEST,
+    ROTATION_ORDERS,
+    Skeleton,
+    checked,
+    forward_kinematics,
+    global_rotations,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +167,7 @@ class Motion:
                 "in the order of joint_names"
             )
         which = slice(None) if joint is None else self.skeleton.index(joint)
-        return kinematics.forward_kinematics(
+        return forward_kinematics(
             self.rotations, self.translation, self.skeleton, self.joint_translations
         )[:, which]
 
@@ -186,7 +191,7 @@ class Motion:
 
     def global_rotations(self) -> np.ndarray:
         """(T, J, 4) quaternions from each joint's frame to the world."""
-        return kinematics.global_rotations(self.rotations, self.skeleton)
+        return global_rotations(self.rotations, self.skeleton)
 
     def euler(self, order: str = "ZXY") -> np.ndarray:
         """(T, J, 3) intrinsic local Euler angles, degrees, columns as in `order`.

@@ -16,11 +16,10 @@ import numpy as np
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.fbx import write_by_blender
-from gesturekit.formats.gltf.skin import Skin, unique_rows
 from gesturekit.formats.gltf.vrm import Avatar, our_names, read_avatar
 from gesturekit.formats.gltf.writing import animated_avatar, animated_skeleton
 from gesturekit.formats.smpl import fit_body
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model import BodyModel, Skin, unique_rows
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human import COLOURS, Fitting, Human
 

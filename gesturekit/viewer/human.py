@@ -14,8 +14,8 @@ import numpy as np
 
 from audio_features.archive import Archive, open_archive
 from gesturekit.errors import FormatError
-from gesturekit.formats.gltf.skin import Skin
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.body_model import Skin
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.retarget import Transfer
 from gesturekit.motion.rotations import (

@@ -3,7 +3,7 @@
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import Event, load_events
+from gesturekit.formats.tables import Event, load_events
 
 
 def test_events_come_in_order_of_time_whatever_the_order_of_rows_and_columns(tmp_path):

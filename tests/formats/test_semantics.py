@@ -3,7 +3,7 @@
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import load_semantics
+from gesturekit.formats.tables import load_semantics
 
 
 def test_intervals_come_in_the_order_of_the_file(tmp_path):
