@@ -159,7 +159,7 @@ def write_vrma(motion: Motion, path: str | os.PathLike[str]) -> None:
     Raises:
         MotionError: body parts of the motion's rig cannot be found.
     """
-    moved = Human.load().in_t_pose(motion)
+    moved = Fitting(Human.load(), motion).in_t_pose(motion)
     names = {bone: ours for bone, ours in our_names(True).items() if ours in moved.skeleton.names}
     bones = {bone: {"node": moved.skeleton.index(ours)} for bone, ours in names.items()}
     extension = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}

@@ -68,23 +68,6 @@ class Human:
         """Read the body; it is cached."""
         return _loaded()
 
-    def retargeted(self, motion: Motion) -> tuple[Motion, float]:
-        """Return a motion on this body, scaled to the height of the motion's own, and the scale.
-
-        Raises:
-            MotionError: body parts of the motion's rig cannot be found.
-        """
-        fitting = Fitting(self, motion)
-        return fitting.on_body(motion), fitting.scale
-
-    def in_t_pose(self, motion: Motion) -> Motion:
-        """Return a motion on this body without twist joints, whose rest pose is a T-pose.
-
-        Raises:
-            MotionError: body parts of the motion's rig cannot be found.
-        """
-        return Fitting(self, motion).in_t_pose(motion)
-
 
 class Fitting:
     """A body in the size of a rig, onto which motions of that rig are put.
@@ -106,7 +89,7 @@ class Fitting:
         plain = _without_twists(human.skeleton)
         self.scale = body_height(first.skeleton) / body_height(plain)
         self._pose = _t_pose(plain)
-        self._plain, self._rig = (_scaled(rig, self.scale) for rig in (plain, human.skeleton))
+        self._plain, self._rig = (rig.scaled(self.scale) for rig in (plain, human.skeleton))
         self._transfer = Transfer(self._plain, pose=self._pose)
         self._last = first, self._transfer(first)
 
@@ -154,13 +137,6 @@ class Fitting:
 def _without_twists(rig: Skeleton) -> Skeleton:
     count = sum(not name.endswith(_TWIST) for name in rig.names)
     return Skeleton(rig.names[:count], rig.parents[:count], rig.offsets[:count], rig.end_sites)
-
-
-def _scaled(skeleton: Skeleton, scale: float) -> Skeleton:
-    ends = {
-        name: tuple(scale * site for site in sites) for name, sites in skeleton.end_sites.items()
-    }
-    return replace(skeleton, offsets=scale * skeleton.offsets, end_sites=ends)
 
 
 def _t_pose(rig: Skeleton) -> np.ndarray:
