@@ -34,7 +34,7 @@ from gesturekit.formats.sources import (
     unreadable_media,
     visible_folders,
 )
-from gesturekit.jobs.batch import EXISTING, Batch, Execution, refuse_existing
+from gesturekit.jobs.batch import Batch, Execution, refuse_existing
 from gesturekit.jobs.result import Processor, Result, Task, json_of
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
@@ -456,10 +456,8 @@ def _kept(target: Path, existing: str) -> tuple[Path, ...]:
     """Return the single target if it exists and is kept, or nothing.
 
     Raises:
-        ConfigError: it exists, and `existing` is "refuse"; or an unknown `existing`.
+        ConfigError: it exists, and `existing` is "refuse".
     """
-    if existing not in EXISTING:
-        raise ConfigError(f"existing is {existing!r}; expected {', '.join(EXISTING)}")
     if existing == "replace" or not os.path.lexists(target):
         return ()
     if existing == "refuse":

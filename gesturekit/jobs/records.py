@@ -105,7 +105,7 @@ def all_records(state: Path) -> Iterator[Result]:
     Raises:
         FormatError: a record was written by a newer version.
     """
-    for path in sorted(state.glob("records/*/*.json")):
+    for path in sorted(state.glob("records/*/*.json"), key=str):
         values = _read(path)
         name = values.get("id")
         if isinstance(name, str) and path.stem == _digest(name)[2:32]:
@@ -229,12 +229,13 @@ def _record_of(state: Path, name: str) -> Path:
 
 def _result(task: Task, values: dict[str, Any]) -> Result | None:
     """Return the result of a record; None if a value is missing or has a wrong type."""
-    stored: dict[str, Any] = {name: values.get(name) for name in _STORED}
-    is_valid = all(isinstance(value, _STORED[name]) for name, value in stored.items())
-    files = [*stored["made"].values(), *stored["begun"].values()] if is_valid else []
-    if not is_valid or not all(isinstance(about, dict) for about in files):
-        return None
-    return Result(task, **stored)
+    for name, kind in _STORED.items():
+        if not isinstance(values.get(name), kind):
+            return None
+    for about in (*values["made"].values(), *values["begun"].values()):
+        if not isinstance(about, dict):
+            return None
+    return Result(task, **{name: values[name] for name in _STORED})
 
 
 def _read(path: Path, most: int = _MAX_RECORD) -> dict[str, Any]:

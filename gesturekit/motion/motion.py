@@ -350,7 +350,7 @@ class Motion:
             MotionError: an invalid height.
         """
         _refuse_special(Path(path))
-        motion = lazy.on_demand("reader_of")(path, options)(path, **options)
+        motion = lazy.formats().reader_of(path, options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
     @gesturekit_errors()
@@ -365,7 +365,7 @@ class Motion:
             FormatError: an unknown format, one that cannot hold this motion, or an option that the
                 format does not have.
         """
-        lazy.on_demand("writer_of")(path, options)(self, path, **options)
+        lazy.formats().writer_of(path, options)(self, path, **options)
 
     @gesturekit_errors()
     def show(self, audio: Any = None, **options: Any) -> Any:
@@ -376,7 +376,7 @@ class Motion:
             options: `title`, `body`, `framing`, `body_model` and `height` in pixels; see
                 `gesturekit.viewer.display`.
         """
-        return lazy.on_demand("display")(self, audio, **options)
+        return lazy.formats().notebook_player()(self, audio, **options)
 
     def plot(self, audio: Any = None, **options: Any) -> Any:
         """Return the picture that `save` writes as .png: a PIL image, which a notebook displays.

