@@ -35,7 +35,8 @@ def read_bytes(path: Path, most: int, error: type[Exception]) -> bytes:
         if path.exists() and not path.is_file():  # reading a pipe may never end
             raise error(f"{path}: not a regular file")
         with path.open("rb") as file:
-            content = file.read(most + 1)
+            # A read allocates all that it is asked for.
+            content = file.read(min(os.fstat(file.fileno()).st_size, most) + 1)
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except OSError as reason:

@@ -248,7 +248,8 @@ def _read(path: Path, most: int = _MAX_RECORD) -> dict[str, Any]:
         if not path.is_file():  # reading a pipe may never end
             return {}
         with path.open("rb") as file:
-            values = json.loads(file.read(most))
+            # A read allocates all that it is asked for.
+            values = json.loads(file.read(min(os.fstat(file.fileno()).st_size, most)))
     except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(values, dict):
