@@ -34,16 +34,15 @@ def read_bytes(path: Path, most: int, error: type[Exception]) -> bytes:
     try:
         if path.exists() and not path.is_file():  # reading a pipe may never end
             raise error(f"{path}: not a regular file")
+        size = path.stat().st_size
+        if size > most:
+            raise error(f"{path}: {size >> 20} MiB; up to {most >> 20} MiB of such files are read")
         with path.open("rb") as file:
-            # A read allocates all that it is asked for.
-            content = file.read(min(os.fstat(file.fileno()).st_size, most) + 1)
+            return file.read(size)  # no more, if it grows
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except OSError as reason:
         raise error(f"{path}: cannot be read: {reason.strerror}") from None
-    if len(content) > most:
-        raise error(f"{path}: over {most >> 20} MB, too large for a file of its kind")
-    return content
 
 
 def parse_json(content: bytes, where: str, error: type[Exception]) -> Any:
