@@ -1,7 +1,8 @@
-"""Safe reader of npz files that may be broken or hostile: no pickles, limited memory."""
+"""Safe readers of files that may be broken or hostile: no pickles, limited memory."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import struct
@@ -10,6 +11,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,34 @@ to a half or a third; zeros, to a thousandth."""
 _TAIL = 1 << 17  # the end of an archive: 22 bytes, and a comment of up to 64 KiB
 _MAX_DIRECTORY = 1 << 20  # bytes of the list of members: ten thousand of them
 _END = struct.Struct("<12xI6x")  # end record of a zip: the size of the list of members
+
+
+def read_bytes(path: Path, most: int, error: type[Exception]) -> bytes:
+    """Return the content of a regular file of at most `most` bytes.
+
+    Raises:
+        Exception: of class `error`; the file is missing, special, too large, or cannot be read.
+    """
+    try:
+        if path.exists() and not path.is_file():  # reading a pipe may never end
+            raise error(f"{path}: not a regular file")
+        size = path.stat().st_size
+        if size > most:
+            raise error(f"{path}: {size >> 20} MiB; up to {most >> 20} MiB of such files are read")
+        with path.open("rb") as file:
+            return file.read(size)  # no more, if it grows
+    except FileNotFoundError:
+        raise error(f"{path}: no such file") from None
+    except OSError as reason:
+        raise error(f"{path}: cannot be read: {reason.strerror}") from None
+
+
+def parse_json(content: bytes, where: str, error: type[Exception]) -> Any:
+    """Return the JSON value of a file's content; `where` names it in the error of class `error`."""
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError) as reason:
+        raise error(f"{where}: not readable JSON: {str(reason)[:200]}") from None
 
 
 class Archive:

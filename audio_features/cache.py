@@ -177,9 +177,6 @@ def size_limit() -> int:
 
 # Packages of which another version may change the last bits of a feature.
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
-_KIND = "features-1"
-
-log = logging.getLogger(__name__)
 
 
 class FeatureCache(DiskCache):
@@ -262,7 +259,7 @@ class FeatureCache(DiskCache):
         }
         text = json.dumps(made_of, sort_keys=True, allow_nan=False)
         key = hashlib.sha256(text.encode()).hexdigest()
-        return self.path(_KIND, key, ".safetensors")
+        return self.path(KINDS[0], key, ".safetensors")
 
     def _rounded(self, track: FeatureTrack) -> FeatureTrack:
         if self.precision == "fp32":

@@ -7,7 +7,6 @@ downloaded, as the loaders of transformers, Microsoft and torchaudio might do.
 from __future__ import annotations
 
 import io
-import json
 import os
 import pickle
 import re
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from audio_features.archive import parse_json, read_bytes
 from audio_features.errors import WeightsError
 
 if TYPE_CHECKING:
@@ -81,16 +81,10 @@ def normalization_text(eps: float | None) -> str:
 
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON object from a small file."""
-    if not path.is_file():
-        raise WeightsError(f"{path}: no such file: the folder must hold all of the model's files")
-    try:
-        if path.stat().st_size > _MAX_CONFIG_BYTES:
-            raise ValueError(f"{path.stat().st_size} bytes, at most {_MAX_CONFIG_BYTES} are read")
-        value = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(value, dict):
-            raise ValueError(f"holds a {type(value).__name__}, expected an object")
-    except (OSError, ValueError, RecursionError) as error:
-        raise WeightsError(f"{path}: not a configuration file: {error}: download again") from error
+    content = read_bytes(path, _MAX_CONFIG_BYTES, WeightsError)
+    value = parse_json(content, str(path), WeightsError)
+    if not isinstance(value, dict):
+        raise WeightsError(f"{path}: holds a {type(value).__name__}, not an object: download again")
     return value
 
 

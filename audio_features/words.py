@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from audio_features.archive import read_bytes
 from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
@@ -68,11 +69,7 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise FeatureError(f"{path}: not a word list: give one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise FeatureError(f"{path}: no such file: give a word list")
-    if path.stat().st_size > _MAX_BYTES:
-        raise FeatureError(f"{path}: over {_MAX_BYTES >> 20} MB, too large for a word list")
-    words, data = [], path.read_bytes()
+    words, data = [], read_bytes(path, _MAX_BYTES, FeatureError)
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         for where, start, end, text in reader(data.decode(encoding)):

@@ -9,6 +9,7 @@ motion.save("speech.bvh")
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from gesturekit import lazy
@@ -53,9 +54,16 @@ __getattr__ = lazy.attach(
         "render": "rendering.batch",
         "train": "systems",
     },
-    {"display": "viewer", "reader_of": "formats.registry", "writer_of": "formats.registry"},
 )[1]
-lazy.on_demand = __getattr__  # for `Motion`, which is below readers, writers and viewer
+
+
+def _formats() -> ModuleType:
+    from gesturekit.formats import registry
+
+    return registry
+
+
+lazy.formats = _formats
 
 
 def __dir__() -> list[str]:

@@ -7,8 +7,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
-on_demand: Callable[[str], Any]
-"""Returns a function of a higher package by name; `gesturekit/__init__.py`, above all, sets it."""
+formats: Callable[[], Any]
+"""Imports `formats.registry` for `Motion`, which is below; `gesturekit/__init__.py` sets it."""
 
 
 def attach(
@@ -32,8 +32,3 @@ def attach(
         return getattr(import_module(f"{package}.{places[name]}"), name)
 
     return sorted(homes), get, lambda: sorted(homes)
-
-
-def by_name(names: Mapping[str, str]) -> dict[str, str]:
-    """Return {name: module} of {module: names separated by spaces}, for `attach`."""
-    return {name: module for module, words in names.items() for name in words.split()}

@@ -348,7 +348,7 @@ def no_network(monkeypatch) -> None:
 @pytest.fixture(scope="session")
 def capsule_body() -> Callable[[int], dict[str, Any]]:
     """capsule_body(24): arrays of a body model made of tubes, as SMPL's own files hold them."""
-    from gesturekit.formats import model_pelvis, smpl_skeleton
+    from gesturekit.formats.smpl import model_pelvis, smpl_skeleton
 
     return lambda n_joints: body_of_tubes(smpl_skeleton(n_joints), model_pelvis(n_joints))
 

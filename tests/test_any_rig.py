@@ -16,7 +16,10 @@ from sounds import voiced
 
 import gesturekit as gk
 from gesturekit.corpus import Item, Manifest, prepare
-from gesturekit.motion import Motion, RootPath, Skeleton, rotation_angles, unidentified
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts import unidentified
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import rotation_angles
 
 SYSTEMS = ("multires", "diffusion")
 SECONDS = {  # a training of seconds

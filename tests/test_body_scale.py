@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from gesturekit.corpus.recording import Recording, examine
 from gesturekit.errors import MotionError
 from gesturekit.inspection.motion import inspect_motion
-from gesturekit.motion import Motion, Skeleton, contact_labels, find_parts
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.contacts import contact_labels
+from gesturekit.motion.parts import find_parts
 
 SCALES = {0.1: "mm", 10.0: "inch"}
 

@@ -11,7 +11,7 @@ import soundfile
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import arm_speed, max_speed
-from gesturekit.motion import rotation_angles
+from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
 
 

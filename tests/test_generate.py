@@ -14,7 +14,7 @@ from small_models import small_diffusion
 import audio_features as af
 import gesturekit as gk
 from gesturekit.errors import ModelError
-from gesturekit.motion import rotation_angles
+from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
 
 

@@ -11,8 +11,8 @@ from small_models import small_diffusion
 import audio_features as af
 import gesturekit as gk
 from gesturekit.evaluation import foot_skate
-from gesturekit.motion import RootPath, rotation_angles
-from gesturekit.motion.heading import heading
+from gesturekit.motion.root_path import RootPath, heading
+from gesturekit.motion.rotations import rotation_angles
 from gesturekit.systems import bundled_speech
 
 ARMS = ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")

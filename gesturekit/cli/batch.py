@@ -19,7 +19,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
-    from gesturekit.conversion.convert import Conversion
+    from gesturekit.conversion import Conversion
     from gesturekit.jobs.batch import Batch, Execution
     from gesturekit.jobs.result import Result
 

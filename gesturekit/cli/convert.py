@@ -27,7 +27,7 @@ from gesturekit.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from gesturekit.conversion.convert import Changes
+    from gesturekit.conversion import Changes
     from gesturekit.jobs.result import Result
 
 EXAMPLES = """\
@@ -106,7 +106,7 @@ def command(
     reason, the others are still converted, and the exit code is 1. To continue an interrupted run,
     repeat the command: finished files in the folder OUT are kept.
     """
-    from gesturekit.conversion.convert import Conversion
+    from gesturekit.conversion import Conversion
     from gesturekit.motion.parts import parse_parts
 
     execution, dry_run = pop_execution(ctx, out, options)
@@ -138,7 +138,7 @@ def _changes(options: dict[str, Any]) -> Changes:
     Raises:
         click.UsageError: --rig-part without --rig.
     """
-    from gesturekit.conversion.convert import Changes, parse_trim
+    from gesturekit.conversion import Changes, parse_trim
     from gesturekit.formats.smpl import Rig
     from gesturekit.motion.parts import parse_parts
 

@@ -31,16 +31,14 @@ GROUPS = {
     "What to extract": ("extractor", "rate", "fps", "align", "channel"),
     "Output": ("out", "picture", "existing", "skip_existing"),
     **BATCH_GROUPS,
-    "Networks": (
-        *("weights", "layer", "preset", "dtype", "full_context", "implementation", "device"),
-    ),
+    "Networks": (*("weights", "layer", "preset", "dtype", "full_context", "device"),),
 }
 
 _APPLY_TO = {
     "weights": ("wavlm", "hf", "files"),
     "rate": ("files",),
     **dict.fromkeys(("layer", "full_context"), ("wavlm", "hf")),
-    **dict.fromkeys(("preset", "dtype", "implementation"), ("wavlm",)),
+    **dict.fromkeys(("preset", "dtype"), ("wavlm",)),
 }
 """Extractors that each option applies to, of options that are not for all."""
 
@@ -100,11 +98,6 @@ _APPLY_TO = {
     metavar="SECONDS",
     help="Longest sound that WavLM or hf processes without splitting it.  [default: 300; 30 for "
     "hf]",
-)
-@click.option(
-    "--implementation",
-    type=click.Choice(["fast", "transformers"]),
-    help="Implementation of WavLM: gesturekit's (fast) or that of transformers.  [default: fast]",
 )
 @click.option("--device", default="cpu", show_default=True, help="Device of WavLM and hf.")
 @click.option(

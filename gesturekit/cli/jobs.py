@@ -11,7 +11,7 @@ from gesturekit.cli.options import existing_option, is_left
 from gesturekit.wording import counted, printable
 
 if TYPE_CHECKING:
-    from gesturekit.jobs.status import Status
+    from gesturekit.jobs.records import Status
 
 _MOST_REASONS = 12
 
@@ -39,7 +39,7 @@ def command(
     OUT is that of gesturekit render, features or convert. This works at any time, also while other
     processes write into the folder.
     """
-    from gesturekit.jobs.status import status_of
+    from gesturekit.jobs.records import status_of
 
     if page is not None and page.suffix.lower() not in (".html", ".htm"):
         raise click.UsageError(f"--page {page}: the page is HTML: name it .html")

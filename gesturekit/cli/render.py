@@ -384,7 +384,7 @@ def _warn_of_speakers(model: Model, batch: Batch) -> None:
 
 def _write_page(batch: Batch) -> None:
     """Write the summary page of the folder, and print where it is."""
-    from gesturekit.jobs.status import status_of
+    from gesturekit.jobs.records import status_of
     from gesturekit.rendering.summary import PAGE, write_summary
 
     page = batch.state / PAGE

@@ -106,7 +106,7 @@ def _writer(out: Path | None, options: Mapping[str, Any]) -> Callable[..., None]
         ConfigError: an unknown format, or an option of another one.
     """
     from gesturekit.errors import ConfigError
-    from gesturekit.formats.conversion import writer_options
+    from gesturekit.formats.sources import writer_options
     from gesturekit.viewer import write_html, write_picture, write_video
 
     writers = {"html": write_html, "mp4": write_video}
@@ -148,8 +148,8 @@ def _loaded(
 ) -> tuple[dict[str, Motion], bool]:
     """Load motions; return {label: motion} and whether a file not named in `clips` failed."""
     from gesturekit.errors import GestureKitError
-    from gesturekit.formats.conversion import load_with_warnings
-    from gesturekit.formats.plausibility import plausibility_warnings
+    from gesturekit.formats.conventions import plausibility_warnings
+    from gesturekit.formats.sources import load_with_warnings
     from gesturekit.motion.parts import parse_parts
 
     named = parse_parts(parts)

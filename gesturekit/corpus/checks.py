@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts import known_parts
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import IDENTITY, rotation_angles
 from gesturekit.wording import listed
@@ -142,12 +141,11 @@ def _arms_out(skeleton: Skeleton, positions: np.ndarray) -> np.ndarray:
 
     Positions are (T, J, 3).
     """
-    try:
-        arms = find_parts(skeleton).arms
-    except MotionError:
+    parts = known_parts(skeleton)
+    if parts is None:
         return np.zeros(len(positions), dtype=bool)
     upper, level, straight = {}, [], []
-    for side, arm in arms.items():
+    for side, arm in parts.arms.items():
         names = [name for name in (arm.shoulder, arm.elbow, arm.wrist) if name is not None]
         steps = np.diff(positions[:, [skeleton.index(name) for name in names]], axis=1)
         bones = steps / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9)

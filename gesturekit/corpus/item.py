@@ -200,7 +200,7 @@ class Item:
         """
         if self.motion is None:
             raise CorpusError(f"item {self.id!r} has no motion: it is speech alone")
-        from gesturekit.formats.conversion import load
+        from gesturekit.formats.sources import load
 
         named = {**self.reading.get("parts", {}), **(parts or {})}
         motion = load(self.motion, self.reading, named)

@@ -26,9 +26,13 @@ from gesturekit.corpus.report import Report
 from gesturekit.corpus.takes import name_takes, neighbours, take_in
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
-from gesturekit.formats.conversion import applicable_read_options, refuse_unused_read_options
 from gesturekit.formats.registry import MOTION_SUFFIXES, format_of
-from gesturekit.formats.sources import OTHER_SPEECH_SUFFIXES, SPEECH_SUFFIXES
+from gesturekit.formats.sources import (
+    OTHER_SPEECH_SUFFIXES,
+    SPEECH_SUFFIXES,
+    applicable_read_options,
+    refuse_unused_read_options,
+)
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, did_you_mean, listed
 
@@ -99,7 +103,7 @@ class PrepareOptions:
     be identified; see `gesturekit.motion.parts.find_parts`."""
     read: Mapping[str, Any] | None = None
     """Options for reading motion files that replace detection, see
-    `gesturekit.formats.conversion.load`; the manifest stores them."""
+    `gesturekit.formats.sources.load`; the manifest stores them."""
     workers: int = 1
     """Number of processes that check recordings; the manifest is the same for any number."""
     progress: Callable[[list[Any]], Iterable[Any]] = iter

@@ -18,8 +18,8 @@ from gesturekit.corpus.alignment import Correlation, correlate
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import CONDITIONS, muted
 from gesturekit.errors import FormatError, GestureKitError, MotionError
-from gesturekit.formats.conversion import load_with_warnings
-from gesturekit.formats.plausibility import plausibility_warnings
+from gesturekit.formats.conventions import plausibility_warnings
+from gesturekit.formats.sources import load_with_warnings
 from gesturekit.formats.tables import load_events, load_root_path, load_semantics
 from gesturekit.motion import Motion, Skeleton, defects
 from gesturekit.motion.parts.body_size import body_height

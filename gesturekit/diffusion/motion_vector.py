@@ -26,10 +26,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gesturekit.motion.heading import side_axis
 from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.root_path import RootPath, side_axis
 from gesturekit.motion.rotations import (
     invert_quaternions,
     matrix_from_quaternion,

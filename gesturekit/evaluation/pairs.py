@@ -113,7 +113,7 @@ class Items:
 
         Args:
             path: the folder or file.
-            reading: options of `gesturekit.formats.conversion.load`.
+            reading: options of `gesturekit.formats.sources.load`.
 
         Raises:
             CorpusError: no recording was found.
@@ -166,7 +166,7 @@ class _File:
     duration: float = math.inf
 
     def load_motion(self) -> Motion:
-        from gesturekit.formats.conversion import load
+        from gesturekit.formats.sources import load
 
         return load(self.motion, self.reading)
 

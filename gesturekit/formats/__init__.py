@@ -6,7 +6,6 @@ from gesturekit.formats.fbx import read_fbx
 from gesturekit.formats.gltf.reading import read_gltf
 from gesturekit.formats.npz import read_npz, write_npz
 from gesturekit.formats.smpl import write_obj
-from gesturekit.lazy import attach, by_name
 
 __all__ = [
     "read_bvh",
@@ -18,15 +17,3 @@ __all__ = [
     "write_npz",
     "write_obj",
 ]
-
-_OTHERS = {
-    "gltf.file": "Gltf",
-    "gltf.skin": "Skin whole_weights",
-    "gltf.vrm": "avatar_facts our_names read_avatar",
-    "npz": "frames_header frames_rows",
-    "plausibility": "METRES guess_unit plausibility_warnings",
-    "smpl": "Rig fit_body mean_body model_pelvis smpl_skeleton",
-    "sources": "motions_in visible_folders",
-    "tables": "Event load_events load_root_path load_semantics",
-}
-__getattr__ = attach(__name__, {}, by_name(_OTHERS))[1]

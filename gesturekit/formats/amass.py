@@ -20,7 +20,7 @@ import numpy as np
 
 from audio_features.archive import Archive
 from gesturekit.errors import FormatError
-from gesturekit.formats.axes import UP_TO_Y
+from gesturekit.formats.conventions import UP_TO_Y
 from gesturekit.formats.smpl import N_JOINTS, model_pelvis, smpl_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (

@@ -20,9 +20,8 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import file_axes, with_y_up
 from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedBvh, ParsedJoint, parse_bvh
-from gesturekit.formats.plausibility import METRES, guess_unit
+from gesturekit.formats.conventions import METRES, file_axes, guess_unit, with_y_up
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import first_fork
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler

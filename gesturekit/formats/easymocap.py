@@ -8,7 +8,6 @@ therefore at R(Rh) J + Th, where J is its place in the unmoved model.
 
 from __future__ import annotations
 
-import json
 import os
 import warnings
 from collections import Counter
@@ -18,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from audio_features.archive import parse_json, read_bytes
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import to_y_up
-from gesturekit.formats.axes import check_up
+from gesturekit.formats.conventions import check_up
 from gesturekit.formats.registry import json_in_words
 from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_model import BodyModel
@@ -145,16 +145,7 @@ def _files(path: Path) -> dict[int, Path]:
 
 def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
     """Return the people in one frame: id to the values (N,) of each key."""
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(_MAX_BYTES + 1)
-        if len(content) > _MAX_BYTES:
-            raise FormatError(f"{file}: larger than {_MAX_BYTES >> 20} MiB; that is not a frame")
-        content = json.loads(content)
-    except (OSError, ValueError, RecursionError) as error:
-        if isinstance(error, FormatError):
-            raise
-        raise FormatError(f"{file}: not a readable JSON file: {error}") from None
+    content = parse_json(read_bytes(file, _MAX_BYTES, FormatError), str(file), FormatError)
     entries = content.get("annots") if isinstance(content, dict) else content
     if not isinstance(entries, list):
         raise FormatError(

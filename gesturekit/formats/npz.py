@@ -37,7 +37,7 @@ from gesturekit.formats.amass import (
     to_amass,
     with_expressions,
 )
-from gesturekit.formats.axes import UP_TO_Y, check_up
+from gesturekit.formats.conventions import UP_TO_Y, check_up
 from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion

@@ -134,6 +134,11 @@ def _function(
     return load_function(table[suffix])
 
 
+def notebook_player() -> Callable[..., Any]:
+    """Return the function that makes a player for a notebook."""
+    return load_function("viewer:display")
+
+
 def load_function(place: str) -> Callable[..., Any]:
     """Import and return the function of "module:function"."""
     module, _, name = place.partition(":")

@@ -23,7 +23,7 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import UP_TO_Y
+from gesturekit.formats.conventions import UP_TO_Y
 from gesturekit.formats.gltf.scene import NoAnimationWarning
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion

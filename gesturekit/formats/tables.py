@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from audio_features.archive import read_bytes
 from gesturekit.errors import FormatError, ModelError, MotionError
 from gesturekit.formats.registry import READABLE
 from gesturekit.motion.motion import Motion
@@ -23,7 +24,7 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import FARTHEST
 from gesturekit.wording import did_you_mean
 
-_MEGABYTES = 32
+_MOST_BYTES = 32 << 20
 _MOST_NAMES = 1000  # different names of events
 _LONGEST_NAME = 80  # characters
 _DAY = 24 * 3600.0  # seconds
@@ -73,18 +74,9 @@ def read_table(
 
 
 def _text(path: Path, errors: str = "strict") -> str:
-    if path.exists() and not path.is_file():
-        raise FormatError(f"{path}: not a regular file")
-    most = _MEGABYTES << 20
     try:
-        with path.open("rb") as file:
-            data = file.read(most + 1)
-        if len(data) > most:
-            raise FormatError(f"{path}: over {_MEGABYTES} MB, too large for such a table")
-        return data.decode("utf-8-sig", errors)
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
+        return read_bytes(path, _MOST_BYTES, FormatError).decode("utf-8-sig", errors)
+    except UnicodeDecodeError as error:
         raise FormatError(f"{path}: cannot be read as text ({error})") from None
 
 

@@ -12,8 +12,7 @@ from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.preparation import prepare
 from gesturekit.corpus.report import Report, amount
 from gesturekit.errors import CorpusError, GestureKitError
-from gesturekit.formats.conversion import load
-from gesturekit.formats.sources import VIDEO_SUFFIXES
+from gesturekit.formats.sources import VIDEO_SUFFIXES, load
 from gesturekit.inspection.summary import Summary, span
 from gesturekit.wording import counted, listed
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import MAX_JITTER_SHARE, reference_pose
-from gesturekit.formats.conversion import describe_axes, load_with_warnings
+from gesturekit.formats.conventions import plausibility_warnings
 from gesturekit.formats.gltf.vrm import avatar_facts
-from gesturekit.formats.plausibility import plausibility_warnings
+from gesturekit.formats.sources import describe_axes, load_with_warnings
 from gesturekit.inspection.summary import Summary, span
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.defects import (

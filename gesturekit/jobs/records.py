@@ -4,25 +4,32 @@
   attempt at the item begins, and when it ends.
 - `items.json`: the ids of all items, for `gesturekit jobs`.
 - `running/*.json`: one file for each running process, with a file lock beside it.
+
+`status_of` is the state of the work, from these files alone.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
+import re
 import socket
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from filelock import FileLock, Timeout
 
 from audio_features.atomic import atomic_write, write_text
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.result import Result, Task
+from gesturekit.workers import ATTEMPTS
 
 STATE = ".gesturekit"
 """Name of the folder of state in an output folder."""
@@ -98,7 +105,7 @@ def all_records(state: Path) -> Iterator[Result]:
     Raises:
         FormatError: a record was written by a newer version.
     """
-    for path in sorted(state.glob("records/*/*.json")):
+    for path in sorted(state.glob("records/*/*.json"), key=str):
         values = _read(path)
         name = values.get("id")
         if isinstance(name, str) and path.stem == _digest(name)[2:32]:
@@ -222,12 +229,13 @@ def _record_of(state: Path, name: str) -> Path:
 
 def _result(task: Task, values: dict[str, Any]) -> Result | None:
     """Return the result of a record; None if a value is missing or has a wrong type."""
-    stored: dict[str, Any] = {name: values.get(name) for name in _STORED}
-    is_valid = all(isinstance(value, _STORED[name]) for name, value in stored.items())
-    files = [*stored["made"].values(), *stored["begun"].values()] if is_valid else []
-    if not is_valid or not all(isinstance(about, dict) for about in files):
-        return None
-    return Result(task, **stored)
+    for name, kind in _STORED.items():
+        if not isinstance(values.get(name), kind):
+            return None
+    for about in (*values["made"].values(), *values["begun"].values()):
+        if not isinstance(about, dict):
+            return None
+    return Result(task, **{name: values[name] for name in _STORED})
 
 
 def _read(path: Path, most: int = _MAX_RECORD) -> dict[str, Any]:
@@ -240,7 +248,8 @@ def _read(path: Path, most: int = _MAX_RECORD) -> dict[str, Any]:
         if not path.is_file():  # reading a pipe may never end
             return {}
         with path.open("rb") as file:
-            values = json.loads(file.read(most))
+            # A read allocates all that it is asked for.
+            values = json.loads(file.read(min(os.fstat(file.fileno()).st_size, most)))
     except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(values, dict):
@@ -252,3 +261,147 @@ def _read(path: Path, most: int = _MAX_RECORD) -> dict[str, Any]:
             "or give another folder"
         )
     return values
+
+
+WINDOW = 600.0
+"""Seconds of work before the latest result from which speed is computed."""
+_NUMBER = re.compile(r"(?<![A-Za-z\d])\d+([.,]\d+)*")
+
+
+@dataclass(frozen=True, slots=True)
+class FailedItem:
+    """An item whose last attempt failed."""
+
+    id: str
+    error: str
+    attempts: int
+
+    @property
+    def is_aside(self) -> bool:
+        """True if it is put aside."""
+        return self.attempts >= ATTEMPTS
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of the work in a folder.
+
+    Attributes:
+        items: number of items of the latest run.
+        done: number of them that are done.
+        sound: seconds of sound of all results.
+        failed: items that failed.
+        left: ids of the items that are neither done nor failed.
+        earlier: number of items that were done and are not in the latest run.
+        shards: (number of items, number done or failed) of each shard.
+        running: living processes, see `gesturekit.jobs.records.running`.
+        in_hand: ids of items that were begun and have no result.
+        items_per_minute: speed in the last `WINDOW` seconds of work.
+        real_time_factor: seconds of sound per second, in the same time.
+    """
+
+    items: int
+    done: int
+    sound: float
+    failed: list[FailedItem]
+    left: list[str]
+    earlier: int
+    shards: list[list[int]]
+    running: list[dict[str, Any]]
+    in_hand: list[str]
+    items_per_minute: float
+    real_time_factor: float
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time until all items are done at the present speed; None without a speed."""
+        return 60 * len(self.left) / self.items_per_minute if self.items_per_minute else None
+
+    def reasons(self) -> list[tuple[str, int, str]]:
+        """Return (reason, number of items, id of the first), the most frequent first.
+
+        Names are left out of a reason, and numbers in which its items differ, so that equal reasons
+        count together.
+        """
+        groups: dict[str, tuple[list[str], int, str]] = {}
+        for item in self.failed:
+            text = _without_name(item)
+            reason, words = _NUMBER.sub("N", text), text.split()
+            before, count, first = groups.get(reason, (words, 0, item.id))
+            shared = [
+                word if word == other else _NUMBER.sub("N", word)
+                for word, other in zip(words, before, strict=True)
+            ]
+            groups[reason] = shared, count + 1, first
+        found = [(" ".join(words), count, first) for words, count, first in groups.values()]
+        return sorted(found, key=lambda reason: -reason[1])
+
+
+def status_of(out: Path) -> Status:
+    """Read the state of the work in a folder; it may be going on.
+
+    Raises:
+        ConfigError: no work was done in the folder.
+        FormatError: a file is damaged, or was written by a newer version.
+    """
+    state = state_folder(out)
+    listed = read_items(state)
+    if listed is None:
+        raise ConfigError(
+            f"{out}: no work was done in it; give the output folder of render, features or convert"
+        )
+    outcomes: dict[str, FailedItem | None] = {}  # None for an item that is done
+    in_hand: list[str] = []
+    times: list[tuple[float, float, float]] = []
+    for result in all_records(state):
+        if result.status == "done":
+            outcomes[result.id] = None
+            times.append((result.time, result.seconds, result.sound))
+        elif result.status in ("failed", "lost"):
+            outcomes[result.id] = FailedItem(result.id, str(result.error), result.failures)
+        elif result.status == "begun":
+            in_hand.append(result.id)
+    done, failed, left = 0, [], []
+    shards = [[0, 0] for _ in range(listed["shards"])]
+    for name in listed["items"]:
+        shard = shards[shard_of(name, len(shards)) - 1]
+        is_ended = name in outcomes
+        shard[0], shard[1] = shard[0] + 1, shard[1] + is_ended
+        failure = outcomes.pop(name, None)
+        if failure is not None:
+            failed.append(failure)
+        elif is_ended:
+            done += 1
+        else:
+            left.append(name)
+    times = [values for values in times if all(map(math.isfinite, values))]
+    speed, factor = _speed(times)
+    return Status(
+        items=len(listed["items"]),
+        done=done,
+        sound=sum(sound for _, _, sound in times),
+        failed=failed,
+        left=left,
+        earlier=sum(failure is None for failure in outcomes.values()),
+        shards=shards,
+        running=running(state),
+        in_hand=in_hand,
+        items_per_minute=speed,
+        real_time_factor=factor,
+    )
+
+
+def _speed(results: list[tuple[float, float, float]]) -> tuple[float, float]:
+    """Return items per minute and seconds of sound per second of (time, seconds, sound)."""
+    if not results:
+        return 0.0, 0.0
+    times, seconds, sounds = np.array(results).T
+    recent = times >= times.max() - WINDOW
+    span = max(times.max() - (times - seconds)[recent].min(), 1e-3)
+    return float(60 * recent.sum() / span), float(sounds[recent].sum() / span)
+
+
+def _without_name(item: FailedItem) -> str:
+    """Return the reason of a failure without the name of the item, and paths that have it."""
+    name = re.escape(item.id.rpartition("/")[2])
+    return re.sub(rf"\S*(/{name}|{name}\.)\S*", "...", item.error).removeprefix("... ")

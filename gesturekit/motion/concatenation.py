@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.heading import heading
-from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.root_path import heading
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
@@ -21,6 +20,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     rotation_vector_from_quaternion,
 )
+from gesturekit.motion.skeleton import GROUND
 
 _SAME_OFFSET = 1e-3
 """Metres on the reference body; files round offsets."""

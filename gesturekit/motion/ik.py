@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import require_legs
 from gesturekit.motion.rotations import (
@@ -26,7 +25,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, global_rotations
 
 SOFTNESS = 0.03
 """Last share of the limb's length over which its extension is compressed."""

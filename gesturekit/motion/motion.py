@@ -16,13 +16,18 @@ import numpy as np
 
 from gesturekit import lazy
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
-from gesturekit.motion import kinematics
-from gesturekit.motion.joint_selection import keep_joints
-from gesturekit.motion.mirroring import mirror
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
+from gesturekit.motion.rig_changes import keep_joints, mirror
 from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
-from gesturekit.motion.skeleton import FARTHEST, ROTATION_ORDERS, Skeleton, checked
+from gesturekit.motion.skeleton import (
+    FARTHEST,
+    ROTATION_ORDERS,
+    Skeleton,
+    checked,
+    forward_kinematics,
+    global_rotations,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +167,7 @@ class Motion:
                 "in the order of joint_names"
             )
         which = slice(None) if joint is None else self.skeleton.index(joint)
-        return kinematics.forward_kinematics(
+        return forward_kinematics(
             self.rotations, self.translation, self.skeleton, self.joint_translations
         )[:, which]
 
@@ -186,7 +191,7 @@ class Motion:
 
     def global_rotations(self) -> np.ndarray:
         """(T, J, 4) quaternions from each joint's frame to the world."""
-        return kinematics.global_rotations(self.rotations, self.skeleton)
+        return global_rotations(self.rotations, self.skeleton)
 
     def euler(self, order: str = "ZXY") -> np.ndarray:
         """(T, J, 3) intrinsic local Euler angles, degrees, columns as in `order`.
@@ -345,7 +350,7 @@ class Motion:
             MotionError: an invalid height.
         """
         _refuse_special(Path(path))
-        motion = lazy.on_demand("reader_of")(path, options)(path, **options)
+        motion = lazy.formats().reader_of(path, options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
     @gesturekit_errors()
@@ -360,7 +365,7 @@ class Motion:
             FormatError: an unknown format, one that cannot hold this motion, or an option that the
                 format does not have.
         """
-        lazy.on_demand("writer_of")(path, options)(self, path, **options)
+        lazy.formats().writer_of(path, options)(self, path, **options)
 
     @gesturekit_errors()
     def show(self, audio: Any = None, **options: Any) -> Any:
@@ -371,7 +376,7 @@ class Motion:
             options: `title`, `body`, `framing`, `body_model` and `height` in pixels; see
                 `gesturekit.viewer.display`.
         """
-        return lazy.on_demand("display")(self, audio, **options)
+        return lazy.formats().notebook_player()(self, audio, **options)
 
     def plot(self, audio: Any = None, **options: Any) -> Any:
         """Return the picture that `save` writes as .png: a PIL image, which a notebook displays.

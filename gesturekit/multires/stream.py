@@ -20,11 +20,10 @@ from gesturekit.errors import ModelError
 from gesturekit.model import control_entries
 from gesturekit.motion.concatenation import stacked
 from gesturekit.motion.ik import two_bone_ik
-from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rotations
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.retrieval import PieceSequence, Resumable
 from gesturekit.multires.sampling.conditions import requested_styles
@@ -36,7 +35,7 @@ from gesturekit.multires.stream_window import (
     SpeechStream,
     WindowLevels,
 )
-from gesturekit.postprocess.foot import feet_of_legs
+from gesturekit.postprocess.feet import feet_of_legs
 from gesturekit.state.live import AheadPrediction, FeatureWindow
 from gesturekit.training.seeds import checked_item, checked_seed, rng_for
 

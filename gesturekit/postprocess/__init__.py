@@ -1,10 +1,7 @@
 """Postprocessing of generated motion: foot locking, smoothing and placement."""
 
-from gesturekit.lazy import attach
 from gesturekit.postprocess.foot_lock import lock_feet
 from gesturekit.postprocess.placement import Placement
 from gesturekit.postprocess.smoothing import smooth_motion
 
 __all__ = ["Placement", "lock_feet", "smooth_motion"]
-
-__getattr__ = attach(__name__, {}, {"Anchor": "foot", "find_feet": "foot"})[1]

@@ -1,7 +1,7 @@
 """Foot locking: remove the sliding of standing feet.
 
 1. Find the contact spans of heel and ball of each foot, from the contact labels predicted by the
-   model, or from speed and height (`pinning`).
+   model, or from speed and height (`feet`).
 2. Subtract slow sliding that is common to the standing feet from the hip path (`horizontal_drift`).
 3. Pin each point at its mean position on the floor in each span, and blend the correction in and
    out. A foot is never pulled down in flight: it rolls onto and off the floor as
@@ -24,7 +24,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.ik import Reach, bend_limbs, reachable
-from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.parts.body_size import body_scale
@@ -37,11 +36,13 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.postprocess.foot import Foot, feet_of_legs
-from gesturekit.postprocess.pinning import (
+from gesturekit.motion.skeleton import global_rotations
+from gesturekit.postprocess.feet import (
     FASTEST,
+    Foot,
     contact_frames,
     contact_spans,
+    feet_of_legs,
     gaussian_smoothed,
     include_landing,
     pin,

@@ -19,19 +19,19 @@ from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.motion.concatenation import carried, eased, with_root
 from gesturekit.motion.contacts import CONTACT_SPEED, floor_height, foot_positions
-from gesturekit.motion.heading import heading, headings, side_axis
 from gesturekit.motion.ik import reach_feet
-from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.root_path import heading, headings, side_axis
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
+from gesturekit.motion.skeleton import GROUND
 from gesturekit.postprocess.foot_lock import lock_feet
 
 BLEND_SECONDS = 0.5

@@ -12,9 +12,9 @@ from typing import Any
 import audio_features as af
 from gesturekit.corpus.item import Item
 from gesturekit.errors import ConfigError
-from gesturekit.formats.conversion import writer_options
 from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.smpl import Rig
+from gesturekit.formats.sources import writer_options
 from gesturekit.jobs.result import Processor, Result, Task, json_of, path_digest
 from gesturekit.model import Model, control_entries
 from gesturekit.motion.motion import Motion

@@ -25,8 +25,7 @@ from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, files_by_key, motion_files
-from gesturekit.formats.conversion import load
-from gesturekit.formats.sources import SPEECH_SUFFIXES
+from gesturekit.formats.sources import SPEECH_SUFFIXES, load
 from gesturekit.model import Model
 from gesturekit.wording import listed
 
@@ -120,7 +119,7 @@ def sequences_of(folder: Path, audio: Path | None, reading: Mapping[str, Any]) -
     Args:
         folder: folder of motion.
         audio: folder of its sound, or None.
-        reading: options of `gesturekit.formats.conversion.load`.
+        reading: options of `gesturekit.formats.sources.load`.
 
     Raises:
         CorpusError: an empty folder.

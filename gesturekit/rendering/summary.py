@@ -13,9 +13,8 @@ import numpy as np
 
 from audio_features.atomic import write_text
 from gesturekit.errors import GestureKitError
-from gesturekit.jobs.records import STATE, all_records
+from gesturekit.jobs.records import STATE, Status, all_records
 from gesturekit.jobs.result import Result
-from gesturekit.jobs.status import Status
 from gesturekit.motion.motion import Motion
 from gesturekit.progress import time_in_words
 from gesturekit.viewer.pictures import write_picture

@@ -17,7 +17,7 @@ from audio_features import Wave
 from audio_features.atomic import atomic_write, write_text
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.statistics.answers import MISMATCHED
-from gesturekit.formats.conversion import load
+from gesturekit.formats.sources import load
 from gesturekit.motion import Motion
 from gesturekit.progress import Progress
 from gesturekit.study.clips import Material, Segment, find_clips

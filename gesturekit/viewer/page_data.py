@@ -20,7 +20,7 @@ from scipy.signal import find_peaks
 
 from audio_features import AudioError, LogMel, Onset, Wave
 from audio_features.sound_file import soundfile_name
-from gesturekit.formats.gltf.skin import Skin, steady_turns
+from gesturekit.motion.body_model import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import TOPS, palette_of

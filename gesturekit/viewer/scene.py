@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.formats.gltf.skin import INFLUENCES, Skin, steady_turns
+from gesturekit.motion.body_model import INFLUENCES, Skin, steady_turns
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure, Head, Limb

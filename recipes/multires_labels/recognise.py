@@ -31,7 +31,7 @@ from scipy.spatial import cKDTree
 import gesturekit as gk
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.evaluation import coverage, jerk, patch_features, patch_scores
-from gesturekit.motion.heading import heading
+from gesturekit.motion.root_path import heading
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "diffusion_styles"))
 from classifier import fit_classifier, styled_recordings, windows

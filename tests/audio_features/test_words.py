@@ -76,7 +76,7 @@ def test_times_of_captions_and_marks_of_laughter(tmp_path):
 def test_a_file_that_is_no_list_for_its_size_alone(tmp_path):
     with (tmp_path / "a.ctm").open("wb") as file:
         file.truncate(100_000_000)  # a hole, which takes no disk
-    with pytest.raises(af.FeatureError, match="a.ctm.* MB"):
+    with pytest.raises(af.FeatureError, match="a.ctm.* MiB"):
         af.load_words(tmp_path / "a.ctm")
     with pytest.raises(af.FeatureError, match="b.ctm"):
         af.load_words(tmp_path / "b.ctm")

@@ -2,8 +2,11 @@
 
 import numpy as np
 
-from gesturekit.motion import FORWARD, SIDES, body_frames, rotate_vectors, standing_pose
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import SIDES
+from gesturekit.motion.retarget.body_frames import body_frames
+from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose
+from gesturekit.motion.rotations import rotate_vectors
 
 TOLERANCE = np.deg2rad(5.0)
 """Hyperextension of straight limbs that is normal in people and in captured motion."""

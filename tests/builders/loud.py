@@ -9,7 +9,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gesturekit.motion import Motion, Skeleton, forward_kinematics
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.skeleton import forward_kinematics
 from gesturekit.systems import model_folder
 
 WINDOW = 0.1

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gesturekit.jobs import STATE, Result, Status
-from gesturekit.jobs.records import all_records
-from gesturekit.rendering import render_batch
+from gesturekit.jobs.records import STATE, Status, all_records
+from gesturekit.jobs.result import Result
+from gesturekit.rendering.batch import render_batch
 
 
 def render(*arguments: Any, **settings: Any) -> Iterator[Result]:

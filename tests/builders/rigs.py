@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.motion import Motion, Skeleton, multiply_quaternions
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.rotations import multiply_quaternions
 
 Bones = dict[str, tuple[str | None, tuple[float, float, float]]]
 """Joint: its parent, and its offset in metres."""

@@ -8,8 +8,9 @@ import soundfile
 
 import audio_features as af
 from gesturekit.corpus import Item, Manifest
-from gesturekit.formats import smpl_skeleton
-from gesturekit.motion import Motion, quaternion_from_rotation_vector
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
 
 RATE = 16_000
 FPS = 30.0

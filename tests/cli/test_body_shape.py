@@ -9,7 +9,8 @@ import pytest
 from published import write_smplx
 
 import gesturekit as gk
-from gesturekit.motion import FOOT_VERTICES, foot_points
+from gesturekit.motion.body_model import FOOT_VERTICES
+from gesturekit.motion.contacts import foot_points
 from gesturekit.training.recipes import recipe_table
 
 DEBUG = recipe_table()["debug"]

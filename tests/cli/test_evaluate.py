@@ -18,8 +18,7 @@ import torch
 from small_models import small_diffusion
 
 from gesturekit.corpus import Item, Manifest, prepare
-from gesturekit.jobs import STATE
-from gesturekit.jobs.records import write_items
+from gesturekit.jobs.records import STATE, write_items
 from gesturekit.motion import Motion
 from gesturekit.training.data.sources import TrainedSegment, save_sources
 

@@ -7,8 +7,8 @@ import socket
 
 import pytest
 
-from gesturekit.jobs import STATE, Result, Task, status_of
-from gesturekit.jobs.records import claimed, shard_of, write_items, write_record
+from gesturekit.jobs.records import STATE, claimed, shard_of, status_of, write_items, write_record
+from gesturekit.jobs.result import Result, Task
 
 
 @pytest.fixture

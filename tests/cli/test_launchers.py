@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from outputs import results
 
 from gesturekit.cli import cli
-from gesturekit.jobs import status_of
+from gesturekit.jobs.records import status_of
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 from outputs import results
 
 from audio_features import FeatureTrack
-from gesturekit.jobs import status_of
+from gesturekit.jobs.records import status_of
 
 STEMS = ("a", "b", "day/c", "day/d", "day/night/e")
 

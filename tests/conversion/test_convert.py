@@ -14,11 +14,15 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
-from gesturekit.conversion.convert import Changes, Conversion, parse_trim
+from gesturekit.conversion import Changes, Conversion, parse_trim
 from gesturekit.errors import ConfigError
-from gesturekit.formats import Rig, motions_in, smpl_skeleton
-from gesturekit.jobs import STATE, Execution, Result
-from gesturekit.motion import BodyShape, Motion
+from gesturekit.formats.smpl import Rig, smpl_skeleton
+from gesturekit.formats.sources import motions_in
+from gesturekit.jobs.batch import Execution
+from gesturekit.jobs.records import STATE
+from gesturekit.jobs.result import Result
+from gesturekit.motion import Motion
+from gesturekit.motion.skeleton import BodyShape
 
 
 def outcomes(*arguments, **options) -> list[Result]:

@@ -9,7 +9,7 @@ from rigs import nameless
 
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import CorpusError
-from gesturekit.motion import body_height
+from gesturekit.motion.parts.body_size import body_height
 
 
 def errors(report):

@@ -7,8 +7,8 @@ import torch
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions, smooth_path
-from gesturekit.formats import Event
-from gesturekit.motion import RootPath
+from gesturekit.formats.tables import Event
+from gesturekit.motion.root_path import RootPath
 
 FPS = 30.0
 

@@ -8,7 +8,7 @@ import pytest
 import audio_features as af
 from gesturekit.diffusion.conditions import asked_events, wants_beats
 from gesturekit.errors import ModelError
-from gesturekit.formats import Event
+from gesturekit.formats.tables import Event
 
 
 @pytest.mark.parametrize(

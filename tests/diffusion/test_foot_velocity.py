@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.diffusion.losses import FootVelocity, foot_sliding
-from gesturekit.motion import foot_kinematics, foot_positions
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.motion.torch_kinematics import foot_kinematics
 
 
 @pytest.fixture(scope="module")

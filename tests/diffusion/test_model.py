@@ -15,7 +15,7 @@ import gesturekit as gk
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import asked_events, smooth_path
 from gesturekit.errors import ModelError
-from gesturekit.motion import RootPath
+from gesturekit.motion.root_path import RootPath
 
 QUICK = {"seconds": 1.5, "steps": 4}
 STYLES = {"styles": ("old", "angry"), "droppable": ("styles",)}

@@ -9,9 +9,9 @@ import pytest
 import gesturekit as gk
 from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.diffusion.motion_vector import continuous_maps
-from gesturekit.motion import (
-    Motion,
-    RootPath,
+from gesturekit.motion import Motion
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_rotation_vector,
     rotate_vectors,

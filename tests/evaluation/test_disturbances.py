@@ -41,12 +41,9 @@ from gesturekit.evaluation import (
 )
 from gesturekit.evaluation import wrist_speed as wrist_speeds
 from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
-from gesturekit.motion import (
-    Motion,
-    body_joints,
-    multiply_quaternions,
-    quaternion_from_rotation_vector,
-)
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 
 SECONDS = 30
 

@@ -12,7 +12,8 @@ from torch import nn
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import FeatureModel, PoseWindows, fgd
 from gesturekit.evaluation.metrics.frechet.feature_model import PoseAutoencoder
-from gesturekit.motion import Motion, multiply_quaternions, quaternion_from_euler, rotate_vectors
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_euler, rotate_vectors
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,9 @@ import pytest
 
 import gesturekit.evaluation as ev
 from audio_features import Wave
-from gesturekit.motion import Motion, body_joints, body_scale
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
+from gesturekit.motion.parts.body_size import body_scale
 
 
 def values(model) -> dict[str, float]:

@@ -22,7 +22,8 @@ from gesturekit.evaluation import (
     kinetic_features,
     raw_fgd,
 )
-from gesturekit.motion import Motion, body_joints
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import body_joints
 
 
 def test_small_cases_by_hand():

@@ -20,7 +20,7 @@ from gesturekit.evaluation import (
     patch_features,
     patch_scores,
 )
-from gesturekit.motion import body_scale
+from gesturekit.motion.parts.body_size import body_scale
 
 
 def window_distances(looked_up, among, window, variant):

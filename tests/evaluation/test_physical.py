@@ -22,7 +22,8 @@ from gesturekit.evaluation import (
     standing_heights,
     wrist_speed,
 )
-from gesturekit.motion import Motion, Skeleton, body_scale
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts.body_size import body_scale
 
 
 def test_arm_speed_sums_shoulders_and_elbows_and_nothing_else(turning):

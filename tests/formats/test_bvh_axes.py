@@ -7,17 +7,18 @@ import pytest
 from rigs import PERSON, at_rest, rig_of, turned_at_root
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import METRES, read_bvh
-from gesturekit.formats.axes import (
+from gesturekit.formats import read_bvh
+from gesturekit.formats.conventions import (
     AXES,
+    METRES,
     FileAxes,
     file_axes,
     rotation_to_y_up,
     standing_axis,
     turn_axes,
 )
-from gesturekit.motion import invert_quaternions
-from gesturekit.motion.heading import heading
+from gesturekit.motion.root_path import heading
+from gesturekit.motion.rotations import invert_quaternions
 
 
 @pytest.fixture

@@ -6,7 +6,8 @@ import bvhio
 import numpy as np
 import pytest
 
-from gesturekit.formats import METRES, read_bvh, write_bvh
+from gesturekit.formats import read_bvh, write_bvh
+from gesturekit.formats.conventions import METRES
 from gesturekit.motion import Motion
 
 RATES = (23.976, 59.94, 1 / 3, 30.0, 30000 / 1001, 60000 / 1001, 7.1234567, 119.88, 100000.0)

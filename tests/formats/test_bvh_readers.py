@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import METRES, read_bvh, write_bvh
-from gesturekit.motion import Motion, rotation_angles
+from gesturekit.formats import read_bvh, write_bvh
+from gesturekit.formats.conventions import METRES
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import rotation_angles
 
 FILES = (
     "paired/zeggs_067_Speech_2/067_Speech_2_x_1_0.bvh",

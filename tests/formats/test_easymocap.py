@@ -6,8 +6,10 @@ from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import model_pelvis, read_easymocap, smpl_skeleton
-from gesturekit.motion import BodyModel, Motion
+from gesturekit.formats import read_easymocap
+from gesturekit.formats.smpl import model_pelvis, smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
 
 FRAMES = 40
 

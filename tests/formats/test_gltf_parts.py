@@ -14,9 +14,9 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import Gltf, avatar_facts
+from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.scene import Curve, Nodes
-from gesturekit.formats.gltf.vrm import Colours
+from gesturekit.formats.gltf.vrm import Colours, avatar_facts
 from gesturekit.motion import Motion
 
 

@@ -12,8 +12,9 @@ import pytest
 from rigs import at_rest
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import read_npz, smpl_skeleton, write_npz
-from gesturekit.motion import BodyModel
+from gesturekit.formats import read_npz, write_npz
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion.body_model import BodyModel
 
 MEGABYTE = 1 << 20
 

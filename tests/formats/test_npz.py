@@ -8,16 +8,13 @@ from recordings import BANDAI, ZEGGS
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import fit_body, model_pelvis, read_npz, smpl_skeleton, write_npz
-from gesturekit.motion import (
-    BodyModel,
-    BodyShape,
-    Motion,
-    contact_labels,
-    foot_points,
-    quaternion_from_rotation_vector,
-    rotation_angles,
-)
+from gesturekit.formats import read_npz, write_npz
+from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.contacts import contact_labels, foot_points
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
+from gesturekit.motion.skeleton import BodyShape
 
 
 def smpl_motion(n_joints: int, fps: float = 30.0) -> Motion:

@@ -2,8 +2,11 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import smpl_skeleton, write_obj
-from gesturekit.motion import BodyModel, Motion, quaternion_from_rotation_vector
+from gesturekit.formats import write_obj
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
 
 
 @pytest.fixture

@@ -8,9 +8,10 @@ import pytest
 from rigs import at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import guess_unit, plausibility_warnings, smpl_skeleton
+from gesturekit.formats.conventions import guess_unit, plausibility_warnings
 from gesturekit.formats.npz import read_npz
-from gesturekit.motion import body_height, stature
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion.parts.body_size import body_height, stature
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ import pytest
 from gesturekit.errors import FormatError
 from gesturekit.formats.fbx import blender_command
 from gesturekit.formats.registry import FORMATS, Format, load_function
-from gesturekit.motion import Motion, rotation_angles
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import rotation_angles
 
 OF_ANOTHER_RIG = ".vrma"
 BOTH = [

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import FormatError, ModelError
-from gesturekit.formats import load_root_path
-from gesturekit.formats.tables import as_root_path
-from gesturekit.motion import RootPath
+from gesturekit.formats.tables import as_root_path, load_root_path
+from gesturekit.motion.root_path import RootPath
 
 
 def table(folder: Path, text: str | bytes) -> Path:

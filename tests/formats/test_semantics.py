@@ -3,7 +3,7 @@
 import pytest
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import load_semantics
+from gesturekit.formats.tables import load_semantics
 
 
 def test_intervals_come_in_the_order_of_the_file(tmp_path):
@@ -34,7 +34,7 @@ def test_invalid_rows_are_named(tmp_path, row, says):
         load_semantics(file)
 
 
-@pytest.mark.parametrize(("more", "says"), [(0, ""), (1, "32 MB")])
+@pytest.mark.parametrize(("more", "says"), [(0, ""), (1, "32 MiB")])
 def test_a_table_has_32_megabytes_at_most(tmp_path, more, says):
     """A sparse file of zeros."""
     file = tmp_path / "a.txt"

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from gesturekit.formats import motions_in, visible_folders
+from gesturekit.formats.sources import motions_in, visible_folders
 
 
 def test_folders_that_cannot_be_opened_are_yielded_once_and_one_is_left_out(tmp_path, monkeypatch):

@@ -13,9 +13,11 @@ from gltf_files import GltfFile, arm
 from safetensors.numpy import save
 
 import audio_features as af
-from gesturekit.formats import frames_header, smpl_skeleton, write_bvh, write_npz
-from gesturekit.jobs import Result, Task
+from gesturekit.formats import write_bvh, write_npz
+from gesturekit.formats.npz import frames_header
+from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.jobs.records import write_record
+from gesturekit.jobs.result import Result, Task
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.training.config import dump_yaml
 

@@ -22,14 +22,24 @@ from audio_features.weight_files import read_file, read_json
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion import DiffusionConfig
 from gesturekit.evaluation import read_answers
-from gesturekit.formats import frames_rows, load_events, load_root_path, load_semantics, read_avatar
 from gesturekit.formats.easymocap import read_easymocap
+from gesturekit.formats.gltf.vrm import read_avatar
+from gesturekit.formats.npz import frames_rows
+from gesturekit.formats.tables import load_events, load_root_path, load_semantics
 from gesturekit.inspection import inspect
-from gesturekit.jobs import STATE, Result, Task, status_of
-from gesturekit.jobs.records import read_record, running, write_items, write_record
-from gesturekit.motion import BodyModel, Motion
+from gesturekit.jobs.records import (
+    STATE,
+    read_record,
+    running,
+    status_of,
+    write_items,
+    write_record,
+)
+from gesturekit.jobs.result import Result, Task
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.multires import MultiresConfig
-from gesturekit.rendering import read_list
+from gesturekit.rendering.inputs import read_list
 from gesturekit.study import Votes
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config

@@ -25,7 +25,8 @@ import soundfile
 from scipy.spatial.transform import Rotation
 
 import gesturekit as gk
-from gesturekit.formats import Gltf, read_avatar
+from gesturekit.formats.gltf.file import Gltf
+from gesturekit.formats.gltf.vrm import read_avatar
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.skeleton import ROTATION_ORDERS
 from gesturekit.viewer.drawn_body import DrawnBody

@@ -21,7 +21,7 @@ from gesturekit.cli import main
 TRAINERS = ("gesturekit.multires.training.trainer", "gesturekit.diffusion.training.trainer")
 NEEDS = {
     "features": ("gesturekit.rendering.features",),
-    "convert": ("gesturekit.conversion.convert", "gesturekit.viewer"),
+    "convert": ("gesturekit.conversion", "gesturekit.viewer"),
     "prepare": ("gesturekit.corpus",),
     "render": ("gesturekit.rendering.batch", "gesturekit.viewer", *TRAINERS),
     "live": TRAINERS,

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import Batch, Execution, Processor, Result, Task
+from gesturekit.jobs.batch import Batch, Execution
 from gesturekit.jobs.records import read_record, shard_of, write_record
+from gesturekit.jobs.result import Processor, Result, Task
 
 
 @dataclass

@@ -9,7 +9,7 @@ import pytest
 
 from audio_features import atomic
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs import Result, Task, records
+from gesturekit.jobs import records
 from gesturekit.jobs.records import (
     claimed,
     read_items,
@@ -19,6 +19,7 @@ from gesturekit.jobs.records import (
     write_items,
     write_record,
 )
+from gesturekit.jobs.result import Result, Task
 
 
 def record_of(state, name):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import Processor, Result, Task, json_of
+from gesturekit.jobs.result import Processor, Result, Task, json_of
 
 
 def sha(data: bytes) -> str:

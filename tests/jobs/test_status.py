@@ -3,8 +3,15 @@
 import pytest
 from outputs import status
 
-from gesturekit.jobs import STATE, FailedItem, Result, Task, status_of
-from gesturekit.jobs.records import shard_of, write_items, write_record
+from gesturekit.jobs.records import (
+    STATE,
+    FailedItem,
+    shard_of,
+    status_of,
+    write_items,
+    write_record,
+)
+from gesturekit.jobs.result import Result, Task
 
 
 def test_counts_and_speed_are_those_of_the_latest_results(tmp_path):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from rigs import Bones, renamed, rig_of
 
-from gesturekit.motion import Motion, Skeleton, normalize_quaternions
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.rotations import normalize_quaternions
 
 PARALLEL: Bones = {  # a small person in a T-pose whose joints' frames are all parallel
     "Hips": (None, (0.0, 0.9, 0.0)),

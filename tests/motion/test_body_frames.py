@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from rigs import at_rest, with_offsets
 
-from gesturekit.motion import BodyFrames, Skeleton, body_frames
+from gesturekit.motion import Skeleton
+from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 
 FOOT = 0.15
 

@@ -8,14 +8,11 @@ from scipy.sparse import csc_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats import fit_body, mean_body, smpl_skeleton
-from gesturekit.motion import (
-    BodyModel,
-    BodyShape,
-    Motion,
-    Skeleton,
-    quaternion_from_rotation_vector,
-)
+from gesturekit.formats.smpl import fit_body, mean_body, smpl_skeleton
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
+from gesturekit.motion.skeleton import BodyShape
 
 SPARSE = ("data", "indices", "indptr")
 NOT_SPARSE = dict.fromkeys((f"J_regressor_{key}" for key in SPARSE), np.ones(2))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import REFERENCE_SIZE, Skeleton, body_height, body_scale, body_size
+from gesturekit.motion import Skeleton
+from gesturekit.motion.parts.body_size import REFERENCE_SIZE, body_height, body_scale, body_size
 
 
 def tree(parents, lengths):

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
-from gesturekit.motion import Motion, contact_labels, floor_height, foot_points, foot_positions
+from gesturekit.motion import Motion
+from gesturekit.motion.contacts import contact_labels, floor_height, foot_points, foot_positions
 
 
 def still(person, n_frames=10, speed=0.0, fps=30.0):

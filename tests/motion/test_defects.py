@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from rigs import PERSON, at_rest, rig_of
 
-from gesturekit.motion import Motion, multiply_quaternions, quaternion_from_rotation_vector
+from gesturekit.motion import Motion
 from gesturekit.motion.defects import find_jumps, find_pops, frozen_runs, jitter_share
+from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector
 
 
 def turned(motion: Motion, joint: str, angles: np.ndarray) -> Motion:

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 from rigs import PERSON, rig_of
 
-from gesturekit.motion import Skeleton, foot_points
+from gesturekit.motion import Skeleton
+from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts.body_size import real_end_sites
-from gesturekit.postprocess import find_feet
+from gesturekit.postprocess.feet import find_feet
 
 
 def with_ends(skeleton: Skeleton, **ends: tuple[float, float, float]) -> Skeleton:

@@ -6,7 +6,7 @@ from rigs import PERSON, at_rest, rig_of, with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.heading import heading, side_axis
+from gesturekit.motion.root_path import heading, side_axis
 
 RIG = rig_of(PERSON)
 POST = Skeleton(("post", "tip"), (-1, 0), np.array([[0, 0, 0], [0, 1.0, 0]]))

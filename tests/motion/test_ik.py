@@ -2,15 +2,14 @@ import numpy as np
 import pytest
 from rigs import at_rest
 
-from gesturekit.motion import (
-    Skeleton,
-    forward_kinematics,
-    global_rotations,
+from gesturekit.motion import Skeleton
+from gesturekit.motion.ik import two_bone_ik
+from gesturekit.motion.rotations import (
     normalize_quaternions,
     quaternion_from_rotation_vector,
     rotation_angles,
-    two_bone_ik,
 )
+from gesturekit.motion.skeleton import forward_kinematics, global_rotations
 
 # A leg on a pelvis, with a helper joint between hip and knee.
 LEG = Skeleton(

@@ -5,7 +5,8 @@ import pytest
 from rigs import at_rest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import BodyShape, Motion
+from gesturekit.motion import Motion
+from gesturekit.motion.skeleton import BodyShape
 
 
 def check(motion: Motion, names: list[str]) -> Motion:

@@ -3,16 +3,17 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gesturekit.motion import (
-    ForwardKinematics,
-    ModelJoints,
-    PointKinematics,
-    forward_kinematics,
-    global_rotations,
+from gesturekit.motion.model_joints import ModelJoints
+from gesturekit.motion.rotations import (
     matrix_from_quaternion,
     normalize_quaternions,
     quaternion_from_sixd,
     rotate_vectors,
+)
+from gesturekit.motion.skeleton import forward_kinematics, global_rotations
+from gesturekit.motion.torch_kinematics import (
+    ForwardKinematics,
+    PointKinematics,
     rotation_vector_to_matrix,
     sixd_to_matrix,
 )

@@ -5,7 +5,8 @@ import pytest
 from rigs import PERSON, Bones, rig_of, with_offsets
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Skeleton, find_parts, left_right_pairs
+from gesturekit.motion import Skeleton
+from gesturekit.motion.parts import find_parts, left_right_pairs
 
 FIGURE: Bones = {
     "pelvis": (None, (0.0, 1.0, 0.0)),

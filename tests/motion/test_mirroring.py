@@ -6,7 +6,9 @@ from recordings import RECORDED
 from rigs import numbered, with_offsets
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Motion, left_right_pairs, rotation_angles
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import left_right_pairs
+from gesturekit.motion.rotations import rotation_angles
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 

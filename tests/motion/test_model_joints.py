@@ -9,7 +9,8 @@ from rigs import PERSON, at_rest, below_a_root, rig_of, with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import ModelJoints, Motion, Skeleton, first_moving_joint
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.model_joints import ModelJoints, first_moving_joint
 
 # A still stage and a still lift carry a body of three joints; the flag hangs beside it.
 STAGE = Skeleton(

@@ -7,10 +7,10 @@ from recordings import AITVIEWER, BANDAI, IDLE, ZEGGS
 from rigs import PERSON, numbered, numbered_limbs, renamed, rig_of
 
 from gesturekit.errors import MotionError
-from gesturekit.formats import smpl_skeleton
-from gesturekit.motion import (
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Skeleton
+from gesturekit.motion.parts import (
     BodyParts,
-    Skeleton,
     body_joints,
     find_legs,
     find_parts,

@@ -8,7 +8,8 @@ import pytest
 import gesturekit as gk
 from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.evaluation import foot_skate
-from gesturekit.motion import follow_path, foot_positions
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.motion.root_path import follow_path
 
 
 @pytest.mark.parametrize("name", ["bow_active_001", "bye_feminine_001"])

@@ -6,7 +6,8 @@ from PIL import Image
 from rigs import at_rest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Motion, quaternion_from_rotation_vector, rotation_angles
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 
 
 def shaking(motion: Motion, hertz: float, fps: float = 120.0, seconds: float = 4.0) -> Motion:

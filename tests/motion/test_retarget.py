@@ -8,19 +8,13 @@ from rigs import at_rest, below_a_root, renamed, with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
-from gesturekit.formats import smpl_skeleton
-from gesturekit.motion import (
-    SIDES,
-    Motion,
-    Skeleton,
-    contact_labels,
-    find_parts,
-    foot_positions,
-    quaternion_from_rotation_vector,
-    rotation_angles,
-    standing_pose,
-)
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.contacts import contact_labels, foot_positions
+from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import Transfer, retarget
+from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 
 UPRIGHT = np.array([0.0, 0.9, 0.0])
 

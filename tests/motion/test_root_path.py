@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import RootPath, quaternion_from_rotation_vector
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import quaternion_from_rotation_vector
 
 
 def wandering(n_frames: int = 600, fps: float = 30.0) -> RootPath:

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import BodyShape, Skeleton
+from gesturekit.motion import Skeleton
+from gesturekit.motion.skeleton import BodyShape
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,9 @@ from rigs import PERSON, at_rest, rig_of, with_offsets
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
-from gesturekit.motion import Motion, Skeleton, forward_kinematics, standing_pose, standing_rig
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
+from gesturekit.motion.skeleton import forward_kinematics
 
 RIG = rig_of(PERSON).scaled(1.4 / 1.44)
 """A person whose `body_scale` is 1, with a torso along Y."""

@@ -10,22 +10,20 @@ from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
-from gesturekit.formats import smpl_skeleton
-from gesturekit.motion import (
-    Motion,
-    Skeleton,
-    body_frames,
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.contacts import contact_labels, foot_points
+from gesturekit.motion.parts import (
     body_joints,
-    contact_labels,
     find_legs,
     find_parts,
-    foot_points,
     leg_length,
     part_labels,
     unidentified,
     upper_body,
 )
 from gesturekit.motion.retarget import retarget
+from gesturekit.motion.retarget.body_frames import body_frames
 from gesturekit.postprocess import lock_feet
 
 LEGS = ("UpLeg", "Leg", "Foot", "Toe", "hip", "knee", "ankle", "left_foot", "right_foot")

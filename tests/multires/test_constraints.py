@@ -13,8 +13,8 @@ from rigs import at_rest, below_a_root, turned_at_root
 from audio_features import level_lengths
 from gesturekit import Motion
 from gesturekit.errors import ModelError
-from gesturekit.motion import RootPath, quaternion_from_rotation_vector, rotate_vectors
-from gesturekit.motion.heading import heading
+from gesturekit.motion.root_path import RootPath, heading
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 from gesturekit.multires import MultiresRepresentation, Normaliser, resample
 from gesturekit.multires.motion_vector import fastest_second, turned, turned_plane
 from gesturekit.multires.sampling.constraints import (

@@ -10,8 +10,9 @@ from rigs import nameless
 import gesturekit as gk
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError, CorpusError
-from gesturekit.motion import Skeleton, upper_body
-from gesturekit.motion.heading import heading
+from gesturekit.motion import Skeleton
+from gesturekit.motion.parts import upper_body
+from gesturekit.motion.root_path import heading
 from gesturekit.multires import (
     MultiresRepresentation,
     Normaliser,

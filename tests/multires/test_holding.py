@@ -10,8 +10,8 @@ from small_runs import small_config
 import gesturekit as gk
 from gesturekit.corpus import prepare
 from gesturekit.errors import ModelError
-from gesturekit.motion import (
-    RootPath,
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_rotation_vector,
     rotate_vectors,

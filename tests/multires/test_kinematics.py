@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation import arm_speed
-from gesturekit.motion import foot_positions
+from gesturekit.motion.contacts import foot_positions
 from gesturekit.multires import MultiresRepresentation, VectorKinematics
 from gesturekit.multires.kinematics import smooth
 

@@ -16,7 +16,7 @@ from gesturekit.corpus import Item, Manifest
 from gesturekit.corpus.speech import style_track
 from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
-from gesturekit.motion import multiply_quaternions
+from gesturekit.motion.rotations import multiply_quaternions
 from gesturekit.multires import MultiresControls, train
 from gesturekit.multires.sampling.conditions import agreed_style, mixed_styles, requested_styles
 

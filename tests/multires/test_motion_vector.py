@@ -5,7 +5,7 @@ import pytest
 
 import gesturekit as gk
 from gesturekit.errors import MotionError
-from gesturekit.motion.heading import heading
+from gesturekit.motion.root_path import heading
 from gesturekit.multires import MultiresRepresentation
 
 

@@ -12,7 +12,8 @@ import yaml
 import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.errors import ModelError
-from gesturekit.motion import Motion, Skeleton, upper_body
+from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.parts import upper_body
 from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
 from gesturekit.multires.layers import (
     SkeletonConv1d,

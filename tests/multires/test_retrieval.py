@@ -14,7 +14,8 @@ from speakers import RATE, SETTINGS, assert_played, recording, voice
 
 import gesturekit as gk
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.motion import RootPath, quaternion_from_rotation_vector, rotation_angles
+from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires import load_training_data, train
 from gesturekit.multires.retrieval import (
     PassiveChannels,

@@ -14,8 +14,8 @@ from streams import streamed
 import audio_features as af
 import gesturekit as gk
 from gesturekit.errors import ModelError
-from gesturekit.motion import rotation_angles
 from gesturekit.motion.concatenation import stacked
+from gesturekit.motion.rotations import rotation_angles
 from gesturekit.multires import MultiresGenerator
 
 

@@ -10,7 +10,8 @@ from rigs import PERSON, at_rest, rig_of
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_angles
+from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
+from gesturekit.motion.skeleton import GROUND
 from gesturekit.multires import MultiresGenerator
 from gesturekit.multires.sampling.trained_model import generated
 from gesturekit.multires.stream import FootHold

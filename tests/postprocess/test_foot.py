@@ -5,7 +5,7 @@ import pytest
 from rigs import PERSON, rig_of
 
 from gesturekit import Skeleton
-from gesturekit.postprocess import Anchor, find_feet
+from gesturekit.postprocess.feet import Anchor, find_feet
 
 TOE, TIP = (0.0, -0.05, 0.14), (0.0, 0.0, 0.06)
 HEEL, BIG, SMALL = (0.0, -0.06, -0.05), (0.02, -0.01, 0.05), (-0.03, -0.01, 0.04)

@@ -11,9 +11,8 @@ from rigs import PERSON, Bones, at_rest, below_a_root, rig_of, turned_at_root
 from gesturekit import Motion, Skeleton
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import standing_heights
-from gesturekit.motion import (
-    contact_labels,
-    foot_positions,
+from gesturekit.motion.contacts import contact_labels, foot_positions
+from gesturekit.motion.rotations import (
     quaternion_from_euler,
     quaternion_from_rotation_vector,
     rotate_vectors,

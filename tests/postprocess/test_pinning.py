@@ -6,7 +6,7 @@ Corrections fade within 0.15 s, or more slowly if they would be faster than 0.3 
 import numpy as np
 import pytest
 
-from gesturekit.postprocess.pinning import pin, soft_clamp
+from gesturekit.postprocess.feet import pin, soft_clamp
 
 FPS, RADIUS, FASTEST = 100.0, 0.4, 0.3
 SMALL = 0.01

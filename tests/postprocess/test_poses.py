@@ -8,8 +8,8 @@ from rigs import PERSON, at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
 from gesturekit.motion import Motion
-from gesturekit.motion.heading import heading
 from gesturekit.motion.ik import reach_feet
+from gesturekit.motion.root_path import heading
 from gesturekit.postprocess import Placement
 
 RIG = rig_of(PERSON).scaled(1.4 / 1.44)

@@ -12,7 +12,7 @@ import audio_features as af
 from gesturekit import Motion
 from gesturekit.errors import MotionError
 from gesturekit.evaluation import arm_speed, sync
-from gesturekit.motion import (
+from gesturekit.motion.rotations import (
     multiply_quaternions,
     quaternion_from_euler,
     quaternion_from_rotation_vector,

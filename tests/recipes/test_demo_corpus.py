@@ -12,7 +12,7 @@ import gesturekit as gk
 import gesturekit.systems
 from gesturekit import Motion
 from gesturekit.evaluation import arm_speed, sync
-from gesturekit.motion import rotation_angles
+from gesturekit.motion.rotations import rotation_angles
 
 pytest.importorskip(
     "espeakng_loader", reason="espeak-ng not installed: pip install espeakng-loader"

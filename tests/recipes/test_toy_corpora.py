@@ -9,8 +9,10 @@ import pytest
 
 import audio_features as af
 from gesturekit.evaluation import beat_alignment, foot_skate, music_beats
-from gesturekit.formats import load_events, load_root_path
-from gesturekit.motion import Motion, RootPath, foot_positions
+from gesturekit.formats.tables import load_events, load_root_path
+from gesturekit.motion import Motion
+from gesturekit.motion.contacts import foot_positions
+from gesturekit.motion.root_path import RootPath
 
 RECIPES = Path(__file__).resolve().parents[2] / "recipes"
 sys.path[:0] = [str(RECIPES / f"diffusion_{name}") for name in ("locomotion", "events", "dance")]

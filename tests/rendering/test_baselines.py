@@ -6,7 +6,7 @@ import pytest
 import gesturekit as gk
 from gesturekit.corpus import Manifest, prepare
 from gesturekit.errors import ConfigError
-from gesturekit.rendering import other_sounds, render_baseline, split_sounds
+from gesturekit.rendering.samples import other_sounds, render_baseline, split_sounds
 
 
 def test_each_item_gets_the_sound_of_the_next_as_long_as_its_own(write_pair, tmp_path):

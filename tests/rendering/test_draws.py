@@ -12,8 +12,8 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item
-from gesturekit.jobs import Execution
-from gesturekit.rendering import Output
+from gesturekit.jobs.batch import Execution
+from gesturekit.rendering.renderer import Output
 from gesturekit.systems import bundled_speech
 
 KINDS = ("bvh", "npz")

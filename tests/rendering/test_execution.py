@@ -12,10 +12,12 @@ import pytest
 from outputs import render, results
 
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import STATE, Execution, Task, status_of
-from gesturekit.jobs.records import read_record, write_record
+from gesturekit.jobs.batch import Execution
+from gesturekit.jobs.records import STATE, read_record, status_of, write_record
+from gesturekit.jobs.result import Task
 from gesturekit.motion import Motion
-from gesturekit.rendering import Output, summary
+from gesturekit.rendering import summary
+from gesturekit.rendering.renderer import Output
 
 
 @pytest.fixture

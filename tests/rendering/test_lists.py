@@ -11,8 +11,8 @@ import soundfile
 
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError
-from gesturekit.jobs import Task
-from gesturekit.rendering import find_tasks, length_of, task_wave
+from gesturekit.jobs.result import Task
+from gesturekit.rendering.inputs import find_tasks, length_of, task_wave
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError
 from gesturekit.model import Inputs
 from gesturekit.motion import Motion
-from gesturekit.rendering import SamplingOptions, sample_lda, sample_multires
+from gesturekit.rendering.samples import SamplingOptions, sample_lda, sample_multires
 
 
 @dataclass

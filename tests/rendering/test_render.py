@@ -12,10 +12,11 @@ import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, FormatError
-from gesturekit.jobs import STATE, Task
-from gesturekit.jobs.records import read_record, write_record
+from gesturekit.jobs.records import STATE, read_record, write_record
+from gesturekit.jobs.result import Task
 from gesturekit.postprocess import smooth_motion
-from gesturekit.rendering import Output, estimated_cost, render_batch
+from gesturekit.rendering.batch import estimated_cost, render_batch
+from gesturekit.rendering.renderer import Output
 
 
 @pytest.fixture

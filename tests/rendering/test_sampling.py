@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import gesturekit as gk
 from gesturekit import Motion
 from gesturekit.corpus import Item, Manifest
-from gesturekit.rendering import SamplingOptions, sample_lda, sample_multires, sounds_of
+from gesturekit.rendering.samples import SamplingOptions, sample_lda, sample_multires, sounds_of
 from gesturekit.training.config import build
 
 RAISED = 2.0  # radians by which the arms of style b are higher

@@ -8,10 +8,11 @@ import pytest
 import audio_features as af
 from gesturekit.corpus import Item
 from gesturekit.errors import GestureKitError
-from gesturekit.jobs import Result, Task
+from gesturekit.jobs.result import Result, Task
 from gesturekit.motion import Motion
-from gesturekit.rendering import Output, Renderer, model_of_results, preview, render_batch
+from gesturekit.rendering.batch import model_of_results, preview, render_batch
 from gesturekit.rendering.features import FeatureExtraction
+from gesturekit.rendering.renderer import Output, Renderer
 
 
 def renderer(model, out, output=None, channel=None, **controls) -> Renderer:

@@ -6,8 +6,8 @@ import re
 import pytest
 from outputs import status
 
-from gesturekit.jobs import STATE, FailedItem, Result, Task
-from gesturekit.jobs.records import write_record
+from gesturekit.jobs.records import STATE, FailedItem, write_record
+from gesturekit.jobs.result import Result, Task
 from gesturekit.rendering import summary
 
 

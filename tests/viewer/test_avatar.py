@@ -10,7 +10,7 @@ import pytest
 from avatars import BONES, HAIR, avatar, avatar_json, packed
 
 from gesturekit.errors import FormatError
-from gesturekit.motion import body_height
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody, load_avatar
 from gesturekit.viewer.scene import SkinnedBody

@@ -10,8 +10,11 @@ from recordings import AITVIEWER, RUN, ZEGGS
 from rigs import at_rest, rig_of
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import smpl_skeleton
-from gesturekit.motion import Motion, body_height, find_parts, two_bone_ik
+from gesturekit.formats.smpl import smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.ik import two_bone_ik
+from gesturekit.motion.parts import find_parts
+from gesturekit.motion.parts.body_size import body_height
 from gesturekit.viewer import write_html, write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.scene import SkinnedBody

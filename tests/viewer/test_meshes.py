@@ -5,8 +5,8 @@ import pytest
 from rigs import at_rest
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import Skin
 from gesturekit.motion import Motion
+from gesturekit.motion.body_model import Skin
 from gesturekit.viewer.drawn_body import DrawnBody, simplified
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.scene import Buffers, Camera, Mannequin, Scene

@@ -13,8 +13,10 @@ from gltf_files import QUARTER_TURN, arm
 from rigs import rig_of
 
 from gesturekit.errors import FormatError
-from gesturekit.formats import Gltf, our_names, read_avatar
-from gesturekit.motion import Motion, matrix_from_quaternion
+from gesturekit.formats.gltf.file import Gltf
+from gesturekit.formats.gltf.vrm import our_names, read_avatar
+from gesturekit.motion import Motion
+from gesturekit.motion.rotations import matrix_from_quaternion
 from gesturekit.viewer.drawn_body import DrawnBody
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,8 +8,10 @@ import pytest
 from pages import bundled, data_of, unpacked
 from scipy.spatial.transform import Rotation
 
-from gesturekit.formats import Skin, fit_body, smpl_skeleton
-from gesturekit.motion import BodyModel, BodyShape, Motion
+from gesturekit.formats.smpl import fit_body, smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel, Skin
+from gesturekit.motion.skeleton import BodyShape
 
 pytestmark = bundled
 

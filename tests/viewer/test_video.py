@@ -12,8 +12,9 @@ import pytest
 
 from audio_features import AudioError, Wave
 from gesturekit.errors import FormatError
-from gesturekit.formats import fit_body, smpl_skeleton
-from gesturekit.motion import BodyModel, Motion
+from gesturekit.formats.smpl import fit_body, smpl_skeleton
+from gesturekit.motion import Motion
+from gesturekit.motion.body_model import BodyModel
 from gesturekit.viewer import raster, write_html, write_picture, write_video
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.scene import SkinnedBody

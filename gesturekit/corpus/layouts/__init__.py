@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 LAYOUTS = {
     "beat2": "speech_corpora:read_beat2",
-    "zeggs": "zeggs:read_zeggs",
+    "zeggs": "motion_corpora:read_zeggs",
     "genea2023": "speech_corpora:read_genea2023",
     "motorica": "motion_corpora:read_motorica",
     "100style": "motion_corpora:read_100style",

@@ -8,12 +8,11 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
-from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.parts import body_joints, find_legs, is_upper_body, leg_joints
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, forward_kinematics
 
 MATCHED = 0.5
 """Rigs match if at least this fraction of the recording's body joints is found by name."""

@@ -21,11 +21,10 @@ import numpy as np
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.motion import Motion
-from gesturekit.motion.heading import headings_of_sides
-from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.parts import SIDES, body_joints, find_parts, upper_body
 from gesturekit.motion.parts.body_size import body_scale
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.root_path import headings_of_sides
+from gesturekit.motion.skeleton import GROUND, Skeleton
 from gesturekit.wording import counted
 
 FPS = 25.0

@@ -7,7 +7,6 @@ first, since such files are downloaded from anywhere. A .gltf may name files of 
 from __future__ import annotations
 
 import base64
-import json
 import os
 import struct
 import warnings
@@ -18,6 +17,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from audio_features.archive import parse_json, read_bytes
 from gesturekit.errors import FormatError
 
 MAX_BYTES = 256 << 20
@@ -110,23 +110,14 @@ class Gltf:
         self._work -= work
 
     def _content(self, path: Path) -> bytes:
-        which = "" if path == self.path else f"{str(path)[-120:]!r} "
         try:
-            if path.exists() and not path.is_file():
-                raise self.error(f"{which}not a regular file")
-            size = path.stat().st_size
-            self.size += size
-            if self.size > MAX_BYTES:
-                raise self.error(
-                    f"{which}{size >> 20} MiB; up to {MAX_BYTES >> 20} MiB of files are read"
-                )
-            self._decoded += _DECODED_PER_BYTE * size
-            self._work += _WORK_PER_BYTE * size
-            return path.read_bytes()
-        except FileNotFoundError:
-            raise self.error(f"{which}no such file") from None
-        except OSError as error:
-            raise self.error(f"{which}cannot be read: {error.strerror}") from None
+            content = read_bytes(path, MAX_BYTES - self.size, FormatError)
+        except FormatError as error:
+            raise error if path == self.path else self.error(str(error)) from None
+        self.size += len(content)
+        self._decoded += _DECODED_PER_BYTE * len(content)
+        self._work += _WORK_PER_BYTE * len(content)
+        return content
 
     def _parsed(self, content: bytes) -> dict[str, Any]:
         """Return the JSON object of a file; keep the arrays of a binary one."""
@@ -135,10 +126,7 @@ class Gltf:
             text = self._json_chunk(content)
         if sum(map(text.count, (b",", b"[", b"{"))) > _MAX_VALUES:
             raise self.error(f"its JSON part has over {_MAX_VALUES} values")
-        try:
-            parsed = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise self.error(f"its JSON part cannot be read: {str(error)[:200]}") from None
+        parsed = parse_json(text, f"{self.path}: its JSON part", FormatError)
         if not isinstance(parsed, dict):
             raise self.error("its JSON part is not an object")
         version = self.object(parsed, "asset").get("version", "2.0")

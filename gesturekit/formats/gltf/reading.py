@@ -15,11 +15,18 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.axes import AXES, USUAL_FORWARD, FileAxes, file_axes, with_y_up
+from gesturekit.formats.conventions import (
+    AXES,
+    METRES,
+    USUAL_FORWARD,
+    FileAxes,
+    file_axes,
+    guess_unit,
+    with_y_up,
+)
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.scene import AT_REST, Nodes, read_animation
 from gesturekit.formats.gltf.vrm import avatar_bones
-from gesturekit.formats.plausibility import METRES, guess_unit
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import Skeleton, unique_names

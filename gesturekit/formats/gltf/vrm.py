@@ -21,8 +21,8 @@ from PIL import Image, UnidentifiedImageError
 from gesturekit.errors import GestureKitError
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.scene import Nodes
-from gesturekit.formats.gltf.skin import INFLUENCES, Skin, unique_rows, whole_weights
 from gesturekit.motion import Skeleton
+from gesturekit.motion.body_model import INFLUENCES, Skin, unique_rows, whole_weights
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.wording import printable
 

@@ -18,8 +18,8 @@ import numpy as np
 from gesturekit.formats.gltf.file import BIN, JSON, MAX_BYTES, Gltf
 from gesturekit.formats.gltf.reading import END_SITE
 from gesturekit.formats.gltf.scene import Nodes
-from gesturekit.formats.gltf.skin import INFLUENCES, Skin
 from gesturekit.formats.gltf.vrm import Avatar
+from gesturekit.motion.body_model import INFLUENCES, Skin
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     IDENTITY,

@@ -11,11 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.parts import arm_length, find_parts, leg_length
 from gesturekit.motion.parts.limbs import bare_name
 from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, forward_kinematics
 
 REFERENCE_SIZE = 1.4
 """Metres; size of the body that every constant in metres or m/s is given for, an adult of 1.7 m."""

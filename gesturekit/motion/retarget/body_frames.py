@@ -23,7 +23,6 @@ from functools import cached_property
 
 import numpy as np
 
-from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, BodyParts, find_parts
 from gesturekit.motion.parts.body_size import body_scale, body_size, real_end_sites
@@ -35,7 +34,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rotations
 
 _NO_LENGTH, _NO_DISTANCE, _NO_END = 1e-6, 1e-3, 0.01
 """Metres on the reference body; shorter bones, distances across a hand or along a foot, and ends of

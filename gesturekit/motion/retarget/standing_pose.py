@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.kinematics import forward_kinematics
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, BodyParts, find_parts
 from gesturekit.motion.parts.body_size import body_scale
@@ -24,7 +23,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     shortest_arc,
 )
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, forward_kinematics
 
 LEFT, UP, FORWARD = np.eye(3)
 """(3,) axes of a body that stands and faces +Z."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from gesturekit.motion.contacts import CONTACT_SPEED
 from gesturekit.motion.ik import Reach, bend_limbs
-from gesturekit.motion.kinematics import global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
 from gesturekit.motion.parts.body_size import body_scale
@@ -25,6 +24,7 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     rotate_vectors,
 )
+from gesturekit.motion.skeleton import global_rotations
 
 _STRETCH = 0.995
 """Legs are not stretched beyond this share of their length, unless the source's are."""

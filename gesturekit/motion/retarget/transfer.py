@@ -21,7 +21,6 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.kinematics import forward_kinematics, global_rotations
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
@@ -38,7 +37,7 @@ from gesturekit.motion.rotations import (
     rotate_vectors,
     slerp,
 )
-from gesturekit.motion.skeleton import Skeleton
+from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rotations
 
 _FLOOR_MARKER = 0.25
 """Share of the leg length; a root farther from the pelvis is a marker on the floor."""

@@ -18,9 +18,8 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from gesturekit.errors import ModelError
-from gesturekit.motion.heading import heading, headings, side_axis
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.root_path import RootPath
+from gesturekit.motion.root_path import RootPath, heading, headings, side_axis
 from gesturekit.motion.rotations import quaternion_from_sixd, slerp
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import (

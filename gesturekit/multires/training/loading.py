@@ -16,9 +16,9 @@ import audio_features as af
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, CorpusError, MotionError
-from gesturekit.motion.heading import heading
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, find_parts, is_upper_body, unidentified
+from gesturekit.motion.root_path import heading
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel

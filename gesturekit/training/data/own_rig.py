@@ -10,12 +10,12 @@ import numpy as np
 
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.contacts import floor_height
-from gesturekit.motion.kinematics import GROUND
 from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.skeleton import GROUND
 
 _AROUND_SECONDS = 60.0
 """Seconds before and after a pose that are retargeted with it."""
