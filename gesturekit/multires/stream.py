@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.retrieval import PieceSequence, Resumable
 from gesturekit.multires.sampling.conditions import requested_styles
 from gesturekit.multires.sampling.keyframes import moved
-from gesturekit.multires.sampling.trained_model import TrainedModel, finite
+from gesturekit.multires.sampling.pyramid import finite
 from gesturekit.multires.stream_window import (
     Forecast,
     LiveState,
@@ -39,6 +39,9 @@ from gesturekit.multires.stream_window import (
 from gesturekit.postprocess.foot import feet_of_legs
 from gesturekit.state.live import AheadPrediction, FeatureWindow
 from gesturekit.training.seeds import checked_item, checked_seed, rng_for
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 _FURTHEST = 0.1
 """A standing foot is kept within this share of the leg length from where it would be."""
@@ -184,7 +187,7 @@ class MultiresStream(Resumable):
 
     def __init__(
         self,
-        model: TrainedModel,
+        model: MultiresModel,
         sample_rate: int,
         look_ahead: float,
         seed: int,
@@ -376,7 +379,7 @@ class MultiresStream(Resumable):
 
 
 def _predictions(
-    model: TrainedModel, look_ahead: float, controls: MultiresControls
+    model: MultiresModel, look_ahead: float, controls: MultiresControls
 ) -> list[AheadPrediction]:
     """Return the predictions of this look-ahead and all smaller ones, the largest first.
 
@@ -412,7 +415,7 @@ def _predictions(
 
 
 def _styles(
-    model: TrainedModel, controls: MultiresControls, lengths: Sequence[int], seed: int, item: str
+    model: MultiresModel, controls: MultiresControls, lengths: Sequence[int], seed: int, item: str
 ) -> tuple[list[Tensor], int | None]:
     """Return the styles (1, K, T_i) of each level, and the number of the first one."""
     if not model.styles:

@@ -12,7 +12,7 @@ from gesturekit.evaluation import arm_speed
 from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
 from gesturekit.multires.backend import VARIABLE
 from gesturekit.multires.sampling.conditions import LevelConditions, condition_levels
-from gesturekit.multires.sampling.trained_model import sample
+from gesturekit.multires.sampling.pyramid import sample
 
 LEVELS, FEATURES = 4, 3
 

@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.speech import style_number, style_track
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
+
+if TYPE_CHECKING:
+    from gesturekit.diffusion.model import DiffusionModel
 
 SUM_TOLERANCE = 1e-5
 """Largest rounding error of the sum of the weights."""
@@ -33,12 +35,12 @@ ExpertWeight = float | np.ndarray | str | None
 class Member(NamedTuple):
     """A model of a product, with its weight, and its style; None for a random style."""
 
-    model: TrainedModel
+    model: DiffusionModel
     weight: ExpertWeight
     style: str | None
 
 
-def product_members(first: TrainedModel, controls: DiffusionControls) -> list[Member]:
+def product_members(first: DiffusionModel, controls: DiffusionControls) -> list[Member]:
     """Collect and check the models of a request, without the unconditional one.
 
     An expert without a style gets the style of the first model if it has that style, and a
@@ -68,7 +70,7 @@ def product_members(first: TrainedModel, controls: DiffusionControls) -> list[Me
     return members
 
 
-def _knows(model: TrainedModel, style: str | None) -> bool:
+def _knows(model: DiffusionModel, style: str | None) -> bool:
     if style is None or not model.styles:
         return False
     try:
@@ -78,7 +80,7 @@ def _knows(model: TrainedModel, style: str | None) -> bool:
     return True
 
 
-def _check_guidance(first: TrainedModel, controls: DiffusionControls) -> None:
+def _check_guidance(first: DiffusionModel, controls: DiffusionControls) -> None:
     guidance, unconditional = controls["guidance"], controls["unconditional"]
     if (gamma := controls["state_guidance"]) is not None and "state" not in first.droppable:
         raise ModelError(
@@ -104,14 +106,14 @@ def _check_guidance(first: TrainedModel, controls: DiffusionControls) -> None:
             )
 
 
-def _compatible(first: TrainedModel, other: Any, who: str) -> TrainedModel:
+def _compatible(first: DiffusionModel, other: Any, who: str) -> DiffusionModel:
     """Return the other model; raise ModelError if the two cannot be combined."""
     if reason := next(_differences(first, other), None):
         raise ModelError(f"{who}: {reason}")
     return other
 
 
-def _differences(first: TrainedModel, other: Any) -> Iterator[str]:
+def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
     """Yield reasons for which the motion vectors or noise of two models differ in meaning."""
     kind = getattr(other, "kind", type(other).__name__)
     if kind != first.kind:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -24,10 +25,13 @@ from gesturekit.multires.sampling.keyframes import (
     moved,
     root_through_keyframes,
 )
+from gesturekit.multires.sampling.pyramid import Pyramid
 from gesturekit.multires.sampling.request import Request
-from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.training.seeds import rng_for
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 _TOO_FAST = 1.25
 """A speed this many times the fastest second in training is worth a warning ..."""
@@ -45,7 +49,7 @@ class Sampler:
         request: the request.
     """
 
-    def __init__(self, model: TrainedModel, request: Request) -> None:
+    def __init__(self, model: MultiresModel, request: Request) -> None:
         self.model, self.request = model, request
         self.noise = model.noise.random(model.styles)
         representation, lengths, margin = model.representation, request.lengths, request.margin

@@ -22,7 +22,7 @@ from gesturekit.multires.config import MultiresConfig, TrainingConfig
 from gesturekit.multires.layers import Convolve, convolve_dense, resample
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.sampling.conditions import mixed_styles
-from gesturekit.multires.sampling.trained_model import RandomNoise, ZStarPatches
+from gesturekit.multires.sampling.pyramid import RandomNoise, ZStarPatches
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.training.seeds import rng_for
