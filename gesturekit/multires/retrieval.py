@@ -373,6 +373,21 @@ def played_pieces(
     return pieces
 
 
+def played_passive(
+    library: RecordedLibrary, pieces: PieceSequence, motion: Motion, first: int
+) -> Motion:
+    """Return a motion with the fingers and the face of pieces, from their frame `first` on."""
+    if library.passive.is_empty:
+        return motion
+    n_motion = len(library.recordings[0].motion)
+
+    def values(frames: slice) -> Tensor:
+        shown = np.arange(frames.start, frames.stop) + first
+        return torch.from_numpy(pieces.values(shown)[:, n_motion:].T)
+
+    return library.passive.applied(motion, values)
+
+
 _CURVES = ("state", "motion", "passive")
 
 

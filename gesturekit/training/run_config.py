@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_origin, get_type_hints
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import KNOWN_PARTS
@@ -62,11 +62,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(type(self), include_extras=True).items():
-            value, (limits, *_) = (
-                getattr(self, name),
-                (*getattr(hint, "__metadata__", ()), Limits()),
-            )
+            value = getattr(self, name)
             if isinstance(value, int | float) and not isinstance(value, bool):
+                limits = hint.__metadata__[0] if get_origin(hint) is Annotated else Limits()
                 limits.check(name, value)
 
 

@@ -34,6 +34,7 @@ from gesturekit.diffusion.sampling.members import (
 )
 from gesturekit.diffusion.sampling.request import Request
 from gesturekit.errors import ModelError
+from gesturekit.state.files import mood_seed
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:
@@ -242,17 +243,17 @@ def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None
         weights = style_weights(model.styles, name, request.n_frames, request.fps)
         style = int(weights.sum(axis=0).argmax())
     speech = request.condition(model.conditions)[:, model.conditions.columns["speech"]].T
-    seed = request.seed if controls["mood_seed"] is None else int(controls["mood_seed"])
+    seed = mood_seed(request.seed, controls)
     states = []
     for number in numbers:
-        own_style = style
+        drawn_style = style
         if style is None and model.styles:
-            own_style = _random_style(model, request, number)
+            drawn_style = _random_style(model, request, number)
         states.append(
             process.draw(
                 rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1,
                 speech,
-                (controls["speaker"], own_style),
+                (controls["speaker"], drawn_style),
                 liveliness=controls["liveliness"],
             )
         )

@@ -126,28 +126,30 @@ def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
     if different := first_difference(other.skeleton, first.skeleton):
         yield f"another rig: {different}"
     if theirs.joints != ours.joints:
-        yield (
-            f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model; "
-            "experts of a product need the same joints"
-        )
+        yield f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model"
     if theirs.makes_root != ours.makes_root:
         yield "only one of the two follows a path"
-    advice = "train one with moves_like: the other, so that both use the same motion vectors"
-    if not math.isclose(theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE):
-        yield f"its lengths are relative to another body size; {advice}"
-    pairs = (theirs.references, ours.references), (theirs.side, ours.side)
-    if not all(np.allclose(*pair, atol=1e-6) for pair in pairs):
-        yield f"its rotations are relative to other mean rotations; {advice}"
     ratio = other.normaliser.scale / first.normaliser.scale
     worst = float(ratio[(ratio.log().abs()).argmax()])
-    if not abs(worst - 1) <= _SCALE_TOLERANCE:
-        yield f"its motion has another scale (by up to a factor of {worst:.3g}); {advice}"
-    betas = [
+    places = (theirs.references, ours.references), (theirs.side, ours.side)
+    same = {
+        "lengths are relative to another body size": math.isclose(
+            theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE
+        ),
+        "rotations are relative to other mean rotations": all(
+            np.allclose(*pair, atol=1e-6) for pair in places
+        ),
+        f"motion has another scale (by up to a factor of {worst:.3g})": abs(worst - 1)
+        <= _SCALE_TOLERANCE,
+    }
+    for reason in (text for text, is_same in same.items() if not is_same):
+        yield f"its {reason}; train one with moves_like: the other, to share motion vectors"
+    noises = [
         f"{noise.steps} steps, beta {noise.first_beta:g} to {noise.last_beta:g}"
         for noise in (first.noise_config, other.noise_config)
     ]
-    if betas[0] != betas[1]:
-        yield f"its noise schedule has {betas[1]}, that of this model {betas[0]}"
+    if noises[0] != noises[1]:
+        yield f"its noise schedule has {noises[1]}, that of this model {noises[0]}"
 
 
 _TERM = re.compile(
@@ -264,23 +266,17 @@ def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) 
     Raises:
         ModelError: a text that cannot be read, or weights that do not fit the frames.
     """
-    read = [weight_track(w, n_frames, fps) if isinstance(w, str) else w for w in given]
-    weights = [None if weight is None else checked_weight(weight, n_frames) for weight in read]
+    weights: list[np.ndarray | None] = []
+    for weight in given:
+        if isinstance(weight, str):
+            weight = weight_track(weight, n_frames, fps)
+        values = None if weight is None else np.atleast_1d(np.asarray(weight, dtype=np.float64))
+        if values is not None and values.shape not in ((1,), (n_frames,)):
+            raise ModelError(
+                f"weights of an expert have shape {values.shape}; expected a number or "
+                f"({n_frames},), one for each frame"
+            )
+        weights.append(values)
     rest = np.ones(1) - sum(weight for weight in weights if weight is not None)
     shares = sum(weight is None for weight in weights)
     return [rest / shares if weight is None else weight for weight in weights]
-
-
-def checked_weight(weight: float | np.ndarray, n_frames: int) -> np.ndarray:
-    """Return the weight of one expert as float64 (1,) or (T,), for T frames.
-
-    Raises:
-        ModelError: the weight has another shape.
-    """
-    values = np.atleast_1d(np.asarray(weight, dtype=np.float64))
-    if values.shape not in ((1,), (n_frames,)):
-        raise ModelError(
-            f"weights of an expert have shape {values.shape}; expected a number or ({n_frames},), "
-            "one for each frame"
-        )
-    return values

@@ -131,28 +131,14 @@ class RandomNoise:
     def clocked(
         self, state: np.ndarray, n_carriers: int, lengths: Sequence[int]
     ) -> list[Tensor | None]:
-        """Return the noise of states (B, C, T) for levels of these lengths, see `clocked_noise`.
+        """Return noise in the time of the hands' movement for states (B, C, T).
 
-        Finer levels than the first get none.
+        That of level 1 is the mean of the hands' first carriers, the last `n_carriers` channels;
+        white noise would move the body where the state says that it rests. Finer levels get none.
         """
-        first = clocked_noise(state, n_carriers, lengths[0], self.sigma[0])
+        mixed = mixed_carriers(torch.from_numpy(state[:, state.shape[1] - n_carriers :]))
+        first = self.sigma[0] * resample(mixed, lengths[0])
         return [first, *[None] * (len(lengths) - 1)]
-
-
-def clocked_noise(state: np.ndarray, n_carriers: int, n_frames: int, sigma: Tensor) -> Tensor:
-    """Return the noise (B, 1, n_frames) of level 1 in the time of the hands' movement.
-
-    It is the mean of the hands' first carriers, with the standard deviation `sigma`. White noise
-    would move the body where the state says that it rests.
-
-    Args:
-        state: (B, C, T), see `StateProcess.condition`.
-        n_carriers: its last channels.
-        n_frames: frames of level 1.
-        sigma: () of level 1.
-    """
-    mixed = mixed_carriers(torch.from_numpy(state[:, state.shape[1] - n_carriers :]))
-    return sigma * resample(mixed, n_frames)
 
 
 def mixed_carriers(carriers: Tensor) -> Tensor:
