@@ -18,12 +18,15 @@ from gesturekit.model import build_controls, document_controls
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
+from gesturekit.multires.conditions import Conditions, style_levels
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.layers import n_weights
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence, generated
+from gesturekit.multires.request import Request, check_controls
 from gesturekit.multires.retrieval import (
     RecordedLibrary,
     library_row,
@@ -31,10 +34,7 @@ from gesturekit.multires.retrieval import (
     library_values,
     load_library,
 )
-from gesturekit.multires.sampling.conditions import Conditions, style_levels
-from gesturekit.multires.sampling.pyramid import TrainedNoise, TrainedSequence, generated
-from gesturekit.multires.sampling.request import Request, check_controls
-from gesturekit.multires.sampling.sampler import Sampler
+from gesturekit.multires.sampler import Sampler
 from gesturekit.multires.stream import MultiresStream
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.files import load_state, state_values

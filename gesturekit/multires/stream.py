@@ -25,11 +25,11 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.conditions import requested_styles
 from gesturekit.multires.controls import MultiresControls
+from gesturekit.multires.keyframes import moved
+from gesturekit.multires.pyramid import finite
 from gesturekit.multires.retrieval import PieceSequence, Resumable, played_passive
-from gesturekit.multires.sampling.conditions import requested_styles
-from gesturekit.multires.sampling.keyframes import moved
-from gesturekit.multires.sampling.pyramid import finite
 from gesturekit.multires.stream_window import (
     Forecast,
     LiveState,

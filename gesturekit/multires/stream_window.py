@@ -21,11 +21,11 @@ from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
 from gesturekit.multires.backend import choose_backend
+from gesturekit.multires.conditions import LevelConditions
 from gesturekit.multires.layers import SLOPE, resample_part
 from gesturekit.multires.networks import Film
+from gesturekit.multires.pyramid import halo, mixed_carriers
 from gesturekit.multires.retrieval import Resumable
-from gesturekit.multires.sampling.conditions import LevelConditions
-from gesturekit.multires.sampling.pyramid import halo, mixed_carriers
 from gesturekit.state.channels import averaged
 from gesturekit.state.live import AVERAGED_SECONDS, FeatureWindow
 from gesturekit.state.process import Group, StateProcess
@@ -224,7 +224,7 @@ class LiveState(Resumable):
 class WindowLevels:
     """All levels of a model with a state of movement, for part of a window.
 
-    The result is that of `sampling.pyramid.sample`, but for rounding. It takes a third of the
+    The result is that of `pyramid.sample`, but for rounding. It takes a third of the
     time: frames on which the part does not depend are not computed, resampling is a product with a
     matrix, and all gains and shifts of a level are one product.
 

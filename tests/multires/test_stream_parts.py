@@ -12,7 +12,7 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.motion import GROUND, quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires import MultiresGenerator
-from gesturekit.multires.sampling.pyramid import generated
+from gesturekit.multires.pyramid import generated
 from gesturekit.multires.stream import FootHold
 from gesturekit.multires.stream_window import (
     Forecast,

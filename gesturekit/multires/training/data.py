@@ -20,11 +20,11 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.conditions import Conditions
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.retrieval import PassiveChannels
-from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray, StoredFrames
 from gesturekit.training.data.features import (

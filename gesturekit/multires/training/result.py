@@ -21,8 +21,8 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import fastest_second
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence
 from gesturekit.multires.retrieval import RecordedLibrary
-from gesturekit.multires.sampling.pyramid import TrainedNoise, TrainedSequence
 from gesturekit.multires.stream_window import SpeechStream
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState

@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 
 import audio_features as af
+from gesturekit.multires.conditions import style_levels
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.pyramid import generated
 from gesturekit.multires.retrieval import RecordedLibrary, RecordedMotion
-from gesturekit.multires.sampling.conditions import style_levels
-from gesturekit.multires.sampling.pyramid import generated
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.state.process import RecordedState, StateProcess
 from gesturekit.training.seeds import rng_for

@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.experts import Expert, experts_of, predicted_noise, product
+from gesturekit.diffusion.members import Member, product_members
 from gesturekit.diffusion.noise_schedule import Predict, chosen_steps, clip_denoised, sample
-from gesturekit.diffusion.sampling.experts import Expert, experts_of, predicted_noise, product
-from gesturekit.diffusion.sampling.members import Member, product_members
-from gesturekit.diffusion.sampling.request import Request, check_events
+from gesturekit.diffusion.request import Request, check_events
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import lock_feet, smooth_motion

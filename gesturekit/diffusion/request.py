@@ -22,9 +22,9 @@ from gesturekit.diffusion.conditions import (
     wants_beats,
 )
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.members import Member
 from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, last_step_with_signal
-from gesturekit.diffusion.sampling.members import Member
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables import as_root_path
 from gesturekit.motion.contacts import floor_height

@@ -22,6 +22,7 @@ from gesturekit.motion.heading import heading, headings, side_axis
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_sixd, slerp
+from gesturekit.multires.keyframes import ground_positions, moved
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import (
     MultiresRepresentation,
@@ -30,7 +31,6 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
-from gesturekit.multires.sampling.keyframes import ground_positions, moved
 from gesturekit.training.data.own_rig import on_rig
 
 _SWAY = 0.03

@@ -13,11 +13,9 @@ from torch import Tensor
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
-from gesturekit.multires.motion_vector import fastest_second
-from gesturekit.multires.retrieval import PieceSequence, played_passive, played_pieces
-from gesturekit.multires.sampling.conditions import requested_styles
-from gesturekit.multires.sampling.constraints import InbetweenConstraint, PathConstraint
-from gesturekit.multires.sampling.keyframes import (
+from gesturekit.multires.conditions import requested_styles
+from gesturekit.multires.constraints import InbetweenConstraint, PathConstraint
+from gesturekit.multires.keyframes import (
     KeyframeConstraint,
     keep_unedited,
     level_motion,
@@ -25,8 +23,10 @@ from gesturekit.multires.sampling.keyframes import (
     moved,
     root_through_keyframes,
 )
-from gesturekit.multires.sampling.pyramid import Pyramid
-from gesturekit.multires.sampling.request import Request
+from gesturekit.multires.motion_vector import fastest_second
+from gesturekit.multires.pyramid import Pyramid
+from gesturekit.multires.request import Request
+from gesturekit.multires.retrieval import PieceSequence, played_passive, played_pieces
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.state.files import mood_seed
 from gesturekit.training.seeds import rng_for

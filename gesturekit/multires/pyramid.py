@@ -21,9 +21,9 @@ from torch import Tensor
 
 from gesturekit.errors import ModelError
 from gesturekit.multires.backend import choose_backend
+from gesturekit.multires.conditions import LevelConditions
 from gesturekit.multires.layers import resample, resample_part
 from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
-from gesturekit.multires.sampling.conditions import LevelConditions
 from gesturekit.state.channels import CARRIERS
 
 if TYPE_CHECKING:

@@ -24,15 +24,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.diffusion.network import Denoiser
-from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
-from gesturekit.diffusion.sampling.members import (
+from gesturekit.diffusion.members import (
     SUM_TOLERANCE,
     Member,
     style_weights,
     weights_over_time,
 )
-from gesturekit.diffusion.sampling.request import Request
+from gesturekit.diffusion.network import Denoiser
+from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
+from gesturekit.diffusion.request import Request
 from gesturekit.errors import ModelError
 from gesturekit.state.files import mood_seed
 from gesturekit.training.seeds import rng_for
