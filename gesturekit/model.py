@@ -28,7 +28,6 @@ from gesturekit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from audio_features.files import Files
-    from audio_features.weight_files import WeightPlaces
     from gesturekit.corpus.speech import Speech
     from gesturekit.motion.root_path import RootPath
 
@@ -468,16 +467,4 @@ class Model(Protocol):
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        ...
-
-    @classmethod
-    def load(
-        cls,
-        folder: str | Path,
-        *,
-        weights: "WeightPlaces | None" = None,
-        device: str = "cpu",
-        dtype: Literal["fp32"] = "fp32",
-    ) -> "Model":
-        """Read a model folder; see `gesturekit.load`."""
         ...

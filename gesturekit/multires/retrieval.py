@@ -457,9 +457,9 @@ def load_library(
         n_frames = recording.state.shape[-1]
         for name, size in sizes.items():
             curves = getattr(recording, name)
-            if tuple(curves.shape) != (size, n_frames) or not n_frames:
-                shape = tuple(curves.shape)
-                raise ValueError(f"recorded.{i}.{name} has the shape {shape}, not {size} rows")
-            if not torch.isfinite(curves).all():
-                raise ValueError(f"recorded.{i}.{name} has numbers that are not finite")
+            shape = tuple(curves.shape)
+            if shape != (size, n_frames) or not n_frames or not torch.isfinite(curves).all():
+                raise ValueError(
+                    f"recorded.{i}.{name} has the shape {shape}, not {size} rows of finite numbers"
+                )
     return library
