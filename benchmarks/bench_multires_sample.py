@@ -25,7 +25,7 @@ from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.layers import SLOPE
 from gesturekit.multires.motion_vector import MultiresRepresentation
 from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.sampling.trained_model import TILE, sample
+from gesturekit.multires.pyramid import TILE, sample
 
 FPS, LEVELS = 30, 7
 HOUR = 3600 * FPS

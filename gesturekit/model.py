@@ -1,17 +1,15 @@
 """Interface of the models of both systems, and the controls that all models take."""
 
 # No `from __future__ import annotations` here: `control_entries` reads annotations as objects.
-import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Annotated,
     Any,
-    ClassVar,
     Literal,
     Protocol,
     TypedDict,
@@ -26,11 +24,10 @@ from gesturekit.errors import FormatError, ModelError
 from gesturekit.field_docs import field_docs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.wording import counted, did_you_mean
+from gesturekit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from audio_features.files import Files
-    from audio_features.weight_files import WeightPlaces
     from gesturekit.corpus.speech import Speech
     from gesturekit.motion.root_path import RootPath
 
@@ -332,16 +329,6 @@ class Inputs:
     events: tuple[str, ...] = ()
 
 
-def rate_text(fps: float, recorded_fps: float) -> str:
-    """Return a description of the frame rate of a model's motion."""
-    return f"{fps:g} fps" + ("" if recorded_fps == fps else f", resampled to {recorded_fps:g} fps")
-
-
-def reduction_text(shape: Sequence[int]) -> str:
-    """Return a description of the projection (W, N) of W speech features to N components."""
-    return f"{shape[0]} features reduced to {counted(shape[-1], 'component')}"
-
-
 class MotionStream(Protocol):
     """Motion that is generated while sound comes in, as `Model.stream` returns it.
 
@@ -371,75 +358,6 @@ class MotionStream(Protocol):
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from the `state` of a stream with the same arguments."""
-
-
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class BaseModel:
-    """Fields of every trained model; each system adds its networks and its generation.
-
-    The value goes whole to whoever samples from it.
-
-    Attributes:
-        fps: frames per second at which the network (its finest level) works.
-        representation: the motion vector of the rig.
-        conditions: inputs of the model beside noise or the noisy motion.
-        speakers: a reference skeleton for each speaker that the corpus named.
-        smooth: default of the control `smooth`, in seconds; None for no smoothing.
-        recorded_fps: the recordings' rate, which generated motion gets.
-        folder: folder that it was loaded from; None for one that was not loaded.
-    """
-
-    kind: ClassVar[str]
-
-    fps: float
-    representation: Any
-    conditions: Any
-    speakers: Mapping[str, Skeleton] = field(default_factory=dict)
-    smooth: float | None = None
-    recorded_fps: float
-    folder: Path | None = None
-
-    def __repr__(self) -> str:
-        folder = "" if self.folder is None else f"{str(self.folder)!r}: "
-        return f"{type(self).__name__}({folder}{self.motion_row()})"
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """The rig, with all the joints of the training files."""
-        return self.representation.skeleton
-
-    @property
-    def styles(self) -> tuple[str, ...]:
-        """Names of its styles; empty for a model without styles."""
-        return self.conditions.styles
-
-    def first_values(self) -> dict[str, Any]:
-        """Return the first lines of config.yaml."""
-        return {
-            "kind": self.kind,
-            "fps": self.fps,
-            "recorded_fps": self.recorded_fps,
-            "joints": list(self.representation.joints),
-        }
-
-    def motion_row(self) -> str:
-        """Return the rates and joints of the motion, for the README of the model folder."""
-        joints = f"{len(self.representation.joints)} of {self.skeleton.n_joints} joints modelled"
-        return f"{rate_text(self.fps, self.recorded_fps)}, {joints}"
-
-    def speech_rows(self) -> dict[str, str]:
-        """Return the speech features, for the README; empty without speech input."""
-        conditioner = self.conditions.conditioner
-        if conditioner is None:
-            return {}
-        from audio_features.extractor import needs_of
-
-        rows = {"Speech features": json.dumps(conditioner.extractor.spec)}
-        if needs := needs_of(conditioner.extractor.spec):
-            rows["Needs"] = "; ".join(needs)
-        if conditioner.components is not None:
-            rows["Reduced features"] = reduction_text(conditioner.components.shape)
-        return rows
 
 
 @runtime_checkable
@@ -549,16 +467,4 @@ class Model(Protocol):
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        ...
-
-    @classmethod
-    def load(
-        cls,
-        folder: str | Path,
-        *,
-        weights: "WeightPlaces | None" = None,
-        device: str = "cpu",
-        dtype: Literal["fp32"] = "fp32",
-    ) -> "Model":
-        """Read a model folder; see `gesturekit.load`."""
         ...

@@ -21,6 +21,7 @@ for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
 MAY_IMPORT["evaluation"] |= {"corpus", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "jobs", "motion", "viewer"}
+MAY_IMPORT["training"] |= {"model", "state"}
 MAY_IMPORT["state"] = {"corpus", "motion"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "state", "training", *MAY_IMPORT["training"]}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
@@ -114,10 +115,21 @@ def module_paths() -> dict[str, Path]:
     return paths
 
 
+def lines_for_types(path: Path) -> set[int]:
+    """Return the lines below `if TYPE_CHECKING`: a value may be annotated by whoever samples it."""
+    blocks = [node for node in nodes(path) if isinstance(node, ast.If)]
+    blocks = [block for block in blocks if ast.unparse(block.test) == "TYPE_CHECKING"]
+    return {line for block in blocks for line in range(block.lineno, block.body[-1].end_lineno + 1)}
+
+
 def module_imports(paths: dict[str, Path]) -> dict[str, set[str]]:
+    """Return which modules each module imports, inside functions too, but not for types alone."""
     edges: dict[str, set[str]] = {module: set() for module in paths}
     for module, path in paths.items():
-        for _, name in imported(path):
+        types = lines_for_types(path)
+        for line, name in imported(path):
+            if line in types:
+                continue
             # The name may be a module, or a name defined in its parent module.
             target = name if name in paths else name.rpartition(".")[0]
             edges[module] |= {target} & (paths.keys() - {module})

@@ -140,8 +140,7 @@ def command(ctx: click.Context, **options: Any) -> None:
     do it.
     """
     begun = time.perf_counter()
-    from gesturekit.live.runner import Report
-    from gesturekit.live.session import Session
+    from gesturekit.live.session import Report, Session
     from gesturekit.live.sinks import partial_of
     from gesturekit.live.sources import devices
     from gesturekit.systems import bundled_speech, fit_live, load

@@ -61,8 +61,7 @@ def command(
         import uvicorn
 
         from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
-        from gesturekit.serving.app import create_app
-        from gesturekit.serving.requests import Limits
+        from gesturekit.serving.app import Limits, create_app
     except ImportError as error:
         raise ConfigError(
             f"{error.name} is not installed; run: pip install 'gesturekit[serve]'"

@@ -26,11 +26,7 @@ from gesturekit.evaluation.metrics.rhythm import music_beats
 from gesturekit.formats.tables import Event, load_events
 from gesturekit.motion.root_path import RootPath
 from gesturekit.state.channels import StateChannels
-from gesturekit.training.data.features import (
-    conditioner_tensors,
-    conditioner_values,
-    load_conditioner,
-)
+from gesturekit.training.data.features import conditioner_values, load_conditioner
 from gesturekit.wording import did_you_mean
 
 PARTS = ("speech", "path", "events", "styles", "state")
@@ -136,13 +132,10 @@ class Conditions:
             "styles": list(self.styles),
         }
 
-    def to_tensors(self) -> dict[str, Tensor]:
-        """Return means and scales for `model.safetensors`."""
-        tensors = conditioner_tensors(self.conditioner)
-        if self.path:
-            tensors["path.mean"] = torch.from_numpy(self.path_mean)
-            tensors["path.scale"] = torch.from_numpy(self.path_scale)
-        return tensors
+    def path_tensors(self) -> dict[str, Tensor]:
+        """Return mean and scale of paths for `model.safetensors`; empty without a path."""
+        arrays = {"path.mean": self.path_mean, "path.scale": self.path_scale}
+        return {name: torch.from_numpy(array) for name, array in arrays.items() if self.path}
 
     @classmethod
     def from_values(
@@ -154,7 +147,7 @@ class Conditions:
         device: str = "cpu",
         state: StateChannels | None = None,
     ) -> Conditions:
-        """Rebuild conditions from `to_values` and `to_tensors`; see `DiffusionModel.load`.
+        """Rebuild conditions from `to_values` and a model's tensors; see `DiffusionModel.load`.
 
         Raises KeyError, TypeError or ValueError for damaged values, and WeightsError for WavLM
         weights that are missing or are not those of training.

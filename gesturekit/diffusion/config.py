@@ -4,57 +4,55 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from gesturekit.corpus.layouts import HANDED
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
 from gesturekit.training.run_config import (
+    Limits,
+    Positive,
     RunConfig,
-    check_at_most,
-    check_not_negative,
-    check_positive,
-    check_share,
+    Settings,
+    Share,
+    ShareBelowOne,
 )
 
 
 @dataclass(frozen=True)
-class NetworkConfig:
+class NetworkConfig(Settings):
     """The denoising network (section 3.2 and appendix A.1 of the paper)."""
 
-    blocks: int = 10
+    blocks: Annotated[int, Limits(1000, is_above=True)] = 10
     """Residual blocks."""
-    layers: int = 4
+    layers: Annotated[int, Limits(1000, is_above=True)] = 4
     """Conformer layers in each block; the architecture `diffwave` has one convolution instead."""
-    channels: int = 256
+    channels: Annotated[int, Limits(16384, is_above=True)] = 256
     """Width of the residual blocks and Conformer layers."""
-    heads: int = 8
+    heads: Positive[int] = 8
     """Attention heads in each layer."""
-    feedforward: int = 1024
+    feedforward: Annotated[int, Limits(16384, is_above=True)] = 1024
     """Hidden channels of the convolutional feed-forward part of a Conformer layer."""
-    embedding: int = 512
+    embedding: Annotated[int, Limits(16384, is_above=True)] = 512
     """Width of the embedding of the diffusion step."""
     dilations: tuple[int, ...] = (0, 1, 2)
     """Dilations of the convolutions in frames; blocks cycle through this list. 0 replaces the
     convolutions of kernel size 3 by a plain feed-forward part."""
-    kernels: int = 21
+    kernels: Annotated[int, Limits(1000, is_above=True)] = 21
     """Number of learnt sigmoids in the position bias of each attention head."""
-    nearest_view: int = 5
+    nearest_view: Positive[int] = 5
     """Receptive field, in frames, of the attention head with the narrowest view. At half this
     distance, the position bias has lowered the attention weight to 1e-8."""
-    farthest_view: int = 75
+    farthest_view: Positive[int] = 75
     """Receptive field, in frames, of the attention head with the widest view."""
-    dropout: float = 0.1
+    dropout: ShareBelowOne = 0.1
     """Dropout of attention weights, of the feed-forward part and of each residual branch."""
     architecture: Literal["conformer", "diffwave"] = "conformer"
     """`diffwave` is the paper's ablation LDA-DW: one dilated convolution instead of the Conformer
     stack. It has no dilation 0; the paper's cycle is 1, 2, 4 ... 512."""
 
     def __post_init__(self) -> None:
-        check_positive(**{k: value for k, value in vars(self).items() if isinstance(value, int)})
-        check_at_most(1000, blocks=self.blocks, layers=self.layers, kernels=self.kernels)
-        widths = ("channels", "feedforward", "embedding")
-        check_at_most(16384, **{name: getattr(self, name) for name in widths})
+        super().__post_init__()
         if self.channels % self.heads:
             raise ConfigError(f"heads: {self.heads} must divide channels, which is {self.channels}")
         if self.farthest_view < self.nearest_view:
@@ -68,20 +66,18 @@ class NetworkConfig:
                 f"dilations: {list(self.dilations)} must be numbers of at least {lowest} for "
                 f"architecture {self.architecture}"
             )
-        if not 0 <= self.dropout < 1:
-            raise ConfigError(f"dropout: {self.dropout} must be at least 0 and below 1")
 
 
 @dataclass(frozen=True)
-class NoiseConfig:
+class NoiseConfig(Settings):
     """The noise schedule and the prediction target."""
 
-    steps: int = 100
+    steps: Annotated[int, Limits(10_000, is_above=True)] = 100
     """Number of diffusion steps N; the paper has 150 for dance, locomotion and fighting."""
-    first_beta: float = 0.0074
+    first_beta: Annotated[float, Limits(1, is_above=True, is_below=True)] = 0.0074
     """beta_1 of the linear noise schedule; the paper has 0.01 for dance, locomotion and
     fighting."""
-    last_beta: float = 0.78
+    last_beta: Annotated[float, Limits(1, is_above=True, is_below=True)] = 0.78
     """beta_N of the linear noise schedule; the paper has 0.7 for dance, locomotion and fighting."""
     predict: Literal["noise", "velocity", "clean"] = "noise"
     """Prediction target: the noise (as in the paper), the velocity of Salimans and Ho, or the clean
@@ -89,11 +85,7 @@ class NoiseConfig:
     fraction of the time."""
 
     def __post_init__(self) -> None:
-        check_positive(steps=self.steps)
-        check_at_most(10_000, steps=self.steps)
-        for name in ("first_beta", "last_beta"):
-            if not 0 < getattr(self, name) < 1:
-                raise ConfigError(f"{name}: {getattr(self, name)!r} must be between 0 and 1")
+        super().__post_init__()
         if self.last_beta < self.first_beta:
             raise ConfigError(
                 f"last_beta: {self.last_beta} must be at least first_beta, which is "
@@ -102,38 +94,38 @@ class NoiseConfig:
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(Settings):
     """Optimisation (section 4.1 and appendix A.1)."""
 
-    updates: int = 67_000
+    updates: Positive[int] = 67_000
     """Number of updates. The default suits the 135 minutes of ZeroEGGS; the paper has 112,000 for
     244 minutes of speech, 180,000 for 373 minutes of dance, 52,000 for 60 minutes of fighting, and
     292,000 for 1125 minutes of locomotion."""
-    batch: int = 80
+    batch: Positive[int] = 80
     """Windows per update, over all processes."""
-    window: float = 5.0
+    window: Positive[float] = 5.0
     """Length of a training window in seconds."""
-    learning_rate: float = 6e-4
+    learning_rate: Positive[float] = 6e-4
     """Learning rate of Adam at the end of the warm-up, its peak."""
     warm_up: int = 3000
     """Number of updates of linear learning-rate warm-up."""
-    decay: float = 0.99995
+    decay: Annotated[float, Limits(1, is_above=True)] = 0.99995
     """Factor applied to the learning rate every ten updates after the warm-up, as in the released
     code; the paper has 1 - 0.5e-5. After 67,000 updates, the learning rate has fallen to 0.73
     (paper: 0.97) of its peak."""
     clip: float = 25.0
     """Maximum gradient norm; 0 for no clipping."""
-    ema: float = 0.0
+    ema: ShareBelowOne = 0.0
     """Decay of the exponential moving average of the weights, which is saved as the model; the
     decay is lower in the first updates. 0, as in the paper, saves the weights themselves."""
-    dropout_condition: float = 0.0
+    dropout_condition: Share = 0.0
     """Fraction of windows trained without any condition but the state (condition dropout), for
     guidance and for products of experts."""
-    dropout_style: float = 0.0
+    dropout_style: Share = 0.0
     """Fraction of the other windows trained without their style (style dropout), for guidance."""
-    dropout_state: float = 0.0
+    dropout_state: Share = 0.0
     """Fraction of all windows trained without the state of movement, for guidance on it."""
-    min_snr: float | None = None
+    min_snr: Positive[float | None] = None
     """Gamma of the min-SNR loss weights (Hang et al. 2023); null, as in the paper, gives all
     diffusion steps the same weight."""
     changes: float = 0.0
@@ -151,35 +143,17 @@ class TrainingConfig:
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of matrix products in training; weights and sums stay float32."""
 
-    def __post_init__(self) -> None:
-        values = vars(self)
-        above_0 = ("updates", "batch", "window", "learning_rate", "decay")
-        check_positive(**{name: values[name] for name in above_0})
-        shares = ("dropout_condition", "dropout_style", "dropout_state", "decay")
-        check_share(**{name: values[name] for name in shares})
-        at_least_0 = ("warm_up", "clip", "changes", "foot_sliding", "state")
-        check_not_negative(**{name: values[name] for name in at_least_0})
-        if not 0 <= self.ema < 1:
-            raise ConfigError(f"ema: {self.ema} must be at least 0 and below 1")
-        if self.min_snr is not None:
-            check_positive(min_snr=self.min_snr)
-
 
 @dataclass(frozen=True)
-class AugmentationConfig:
+class AugmentationConfig(Settings):
     """Data augmentation (appendix A.1)."""
 
     mirror: bool = True
     """Train on mirrored recordings too, except for the styles in `styles.handed`."""
-    stretch: float = 0.1
+    stretch: Share = 0.1
     """Fraction of windows that are time-stretched; the paper has 0.2 for dance and fighting."""
-    stretch_range: float = 0.1
+    stretch_range: Annotated[float, Limits(0.5)] = 0.1
     """Range r of time stretching: the factor is between 1 - r and 1 + r."""
-
-    def __post_init__(self) -> None:
-        check_share(stretch=self.stretch)
-        if not 0 <= self.stretch_range <= 0.5:
-            raise ConfigError(f"stretch_range: {self.stretch_range} must be between 0 and 0.5")
 
 
 @dataclass(frozen=True)
@@ -196,17 +170,14 @@ class StyleConfig:
 
 
 @dataclass(frozen=True)
-class UnpairedConfig:
+class UnpairedConfig(Settings):
     """Unpaired motion: extra training windows without any condition."""
 
     corpus: Path | None = None
     """Manifest of motion on any human rig, which is retargeted to the rig of the corpus. Null uses
     the unpaired motion of the run's own corpus."""
-    share: float = 0.5
+    share: Share = 0.5
     """Fraction of windows taken from unpaired motion."""
-
-    def __post_init__(self) -> None:
-        check_share(share=self.share)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,7 +188,7 @@ class DiffusionConfig(RunConfig):
     system: Literal["diffusion"]
     """Name of the system; always `diffusion` here."""
     out: Path = field(default_factory=lambda: Path("runs/diffusion"))
-    fps: float = 30.0
+    fps: Positive[float] = 30.0
     """Frame rate of the network, in frames per second; recordings are resampled to it. Dilations
     and receptive fields of `network` are in frames: at another frame rate than the paper's 30,
     their lengths in seconds differ."""
@@ -248,7 +219,7 @@ class DiffusionConfig(RunConfig):
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
-    checkpoint_every: int = 1000
+    checkpoint_every: Positive[int] = 1000
     """Updates between checkpoints."""
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from gesturekit.model import Control, Controls, Model
+from gesturekit.model import Control, Controls
 
 Solver = Literal["ancestral", "ddim", "dpm"]
 
@@ -27,7 +27,7 @@ class DiffusionControls(Controls, total=False):
     state_guidance: Annotated[float | None, Control(kind=float, metavar="GAMMA")]
     """Weight gamma of guidance on the state of movement, beside `guidance`: 1 is the plain model,
     and 0 leaves the state out."""
-    unconditional: Annotated[Model | None, Control(kind=None, metavar="MODEL")]
+    unconditional: Annotated[Any, Control(kind=None, metavar="MODEL")]
     """The unconditional model for guidance; by default this model, without the style."""
     experts: Annotated[
         Sequence[tuple[Any, ...]],

@@ -2,27 +2,79 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Unpack
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, to_output_rate
+from gesturekit.diffusion.conditions import Conditions
+from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.motion_vector import measured_state
-from gesturekit.diffusion.sampling.request import Request
-from gesturekit.diffusion.sampling.sampler import check_controls, sampled_motions
-from gesturekit.diffusion.trained_model import TrainedModel
+from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
+from gesturekit.diffusion.network import Denoiser
+from gesturekit.diffusion.noise_schedule import NoiseSchedule
+from gesturekit.diffusion.request import Request
+from gesturekit.diffusion.sampler import check_controls, sampled_motions
 from gesturekit.errors import ModelError, gesturekit_errors
-from gesturekit.model import MotionStream, build_controls, document_controls
+from gesturekit.model import Inputs, MotionStream, build_controls, document_controls
 from gesturekit.motion.motion import Motion
-from gesturekit.training.data.own_rig import on_rig
+from gesturekit.motion.skeleton import Skeleton
+from gesturekit.state.channels import StateChannels
+from gesturekit.state.files import load_state, state_values
+from gesturekit.training.config import build, to_dict
+from gesturekit.training.model_folder import ModelParts, TrainedModel
 from gesturekit.training.seeds import checked_item, checked_seed
 
+MAX_FRAMES = 9000
+"""Frames that are generated without tiling: five minutes at 30 fps. At gesture size, each thousand
+frames take about 35 MB, one hour 4 GB; the time per frame does not depend on the length."""
 
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class DiffusionModel(TrainedModel):
     """Model that generates motion by denoising diffusion, from speech or music, a style, a path,
-    events, or nothing."""
+    events, or nothing.
+
+    Attributes (beside those of `TrainedModel`):
+        noise_config: settings of the noise schedule.
+        droppable: conditions dropped in training, which guidance needs: "styles", "state", or "all"
+            but the state.
+        window: frames of the longest motion that is generated without tiling.
+        clip_denoised: whether generation clips the predicted clean motion, see `DiffusionConfig`.
+    """
+
+    kind: ClassVar[str] = "diffusion"
+    dtypes: ClassVar[tuple[str, ...]] = ("fp32", "bf16")
+
+    representation: DeltaRepresentation
+    conditions: Conditions
+    normaliser: Normaliser
+    noise_config: NoiseConfig
+    network: Denoiser
+    droppable: tuple[str, ...] = ()
+    window: int = MAX_FRAMES
+    clip_denoised: bool = True
+
+    @cached_property
+    def schedule(self) -> NoiseSchedule:
+        """Variances of the steps of diffusion."""
+        return NoiseSchedule.of(self.noise_config)
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        return replace(super().inputs, path=self.conditions.path, events=self.conditions.events)
+
+    @property
+    def device(self) -> torch.device:
+        """The device that holds the network."""
+        return next(self.network.parameters()).device
 
     @document_controls(DiffusionControls)
     @gesturekit_errors()
@@ -96,24 +148,116 @@ class DiffusionModel(TrainedModel):
             "features and a state of movement can stream, such as own_corpus"
         )
 
-    @gesturekit_errors()
-    def state(self, motion: str | Path | Motion) -> np.ndarray:
-        """Measure the state of movement of a motion: what `generate` takes as `state`.
-
-        Args:
-            motion: a motion or its file; one on another rig is retargeted.
-
-        Returns:
-            (T, C) at the model's frame rate; `state_process.channels.names` names the channels.
-
-        Raises:
-            ModelError: a model without a state of movement.
-            FormatError: the file cannot be read.
-            MotionError: a rig that cannot be retargeted.
-        """
-        if self.state_process is None:
-            raise ModelError("state: this model was trained without the state of movement")
-        motion = motion if isinstance(motion, Motion) else Motion.load(motion)
-        vectors = self.representation.encode(on_rig(self.representation, motion.resample(self.fps)))
+    def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the state of movement (C, T) of motion vectors (T, X), in their own units."""
+        assert self.state_process is not None
         channels = self.state_process.channels
-        return measured_state(vectors, self.representation, channels, self.fps).T
+        return measured_state(vectors, self.representation, channels, self.fps)
+
+    def _contents(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """Return what a diffusion model adds to config.yaml and model.safetensors."""
+        config = {
+            **self.conditions.to_values(),
+            "droppable": list(self.droppable),
+            "window": self.window,
+            "clip_denoised": self.clip_denoised,
+            "smooth": self.smooth,
+            "state": None if self.state_process is None else state_values(self.state_process),
+            "noise": to_dict(self.noise_config),
+            "network": to_dict(self.network.config),
+        }
+        return config, self.conditions.path_tensors()
+
+    def _readme(self) -> tuple[dict[str, str], str]:
+        """Return the facts of README.md, and the arguments of `generate` in its example."""
+        network, conditions = self.network.config, self.conditions
+        layers = f" of {network.layers} layers" if network.architecture == "conformer" else ""
+        rows = {
+            "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
+            f"{self.noise_config.steps} steps",
+            **self._common_rows(),
+        }
+        call = [] if conditions.conditioner is None else ['"speech.wav"']
+        if conditions.path:
+            rows["Path"] = "the root follows a given path"
+            call.append('path="path.csv"')
+        if not call:
+            call.append("seconds=10")
+        if conditions.events:
+            rows["Events"] = ", ".join(conditions.events)
+            call.append(f'events="{conditions.events[0]}@1.0"')
+        if conditions.styles:
+            rows["Styles"] = ", ".join(conditions.styles)
+            call.append(f'style="{conditions.styles[0]}"')
+        rows |= self._state_rows()
+        if self.droppable:
+            names = {"styles": "style", "all": "all conditions", "state": "the state of movement"}
+            dropped = " and ".join(names[name] for name in self.droppable)
+            rows["Guidance"] = f"trained with dropout of {dropped}"
+            call.append("guidance=1.5")
+        return rows, ", ".join(call)
+
+    @classmethod
+    def _fields(
+        cls,
+        parts: ModelParts,
+        weights: WeightPlaces | None,
+        device: torch.device,
+        dtype: torch.dtype,
+    ) -> dict[str, Any]:
+        """Return the fields of a folder that are a diffusion model's own; see `load`."""
+        config, where = parts.config, str(parts.folder / "config.yaml")
+        values = {**config, **parts.rig}
+        fitted = read_fitted(values, parts.tensors, float(config["fps"]), weights, str(device))
+        representation, conditions = fitted["representation"], fitted["conditions"]
+        if representation.makes_root == conditions.path:
+            raise ValueError("config.yaml and skeleton.json differ in whether there is a path")
+        network_config = build(NetworkConfig, config["network"], where=where)
+        network = Denoiser(representation.n_features, conditions.width, network_config)
+        network.load_state_dict(parts.tensors_under("network."))
+        return {
+            **fitted,
+            "noise_config": build(NoiseConfig, config["noise"], where=where),
+            "network": network.to(device, dtype),
+            "droppable": tuple(map(str, config["droppable"])),
+            "window": int(config["window"]),
+            "clip_denoised": bool(config["clip_denoised"]),
+        }
+
+
+def read_fitted(
+    values: Mapping[str, Any],
+    tensors: Mapping[str, Tensor],
+    fps: float,
+    weights: WeightPlaces | None,
+    device: str,
+) -> dict[str, Any]:
+    """Return the fields of what training fits to its recordings.
+
+    These are `representation`, `conditions`, `normaliser` and `state_process`.
+
+    Args:
+        values: with `rig_values`, `Conditions.to_values`, and `state`: `state_values` or None.
+        tensors: with those of `fitted_tensors` and `Conditions.path_tensors`.
+        fps: frames per second.
+        weights: see `DiffusionModel.load`.
+        device: where encoders compute.
+
+    Raises KeyError, TypeError, ValueError or RuntimeError for damaged values.
+    """
+    skeleton, state = Skeleton.from_json(values["skeleton"]), values["state"]
+    representation = DeltaRepresentation.from_json(skeleton, values["motion"])
+    channels = StateChannels.find(representation.skeleton, representation.joints)
+    known = None if state is None else channels
+    conditions = Conditions.from_values(values, tensors, fps, weights, device, known)
+    normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
+    n_motion, n_speech = representation.n_features, conditions.columns["speech"].stop
+    for name, numbers in vars(normaliser).items():
+        if numbers.shape != (n_motion,) or not torch.isfinite(numbers).all():
+            raise ValueError(f"motion.{name} is not {n_motion} finite numbers")
+    return {
+        "representation": representation,
+        "conditions": conditions,
+        "normaliser": normaliser,
+        "state_process": load_state(state, tensors, channels, fps, n_speech),
+    }

@@ -1,32 +1,225 @@
-"""A run of live generation, from the words of a command: which sound, which model, which sinks."""
+"""A run of live generation: its sound, model and sinks as a command names them, and its loop."""
 
 from __future__ import annotations
 
+import queue
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gesturekit.errors import ConfigError
-from gesturekit.live.runner import Report, run
-from gesturekit.live.sinks import PORT, Recording, Sink, VmcSender
-from gesturekit.live.sources import FileSource, Microphone, PipeSource, Source
+from gesturekit.live.sinks import PORT, Recording, Sink, Step, VmcSender
+from gesturekit.live.sources import (
+    FileSource,
+    Intake,
+    Microphone,
+    PipeSource,
+    Source,
+    Timeline,
+    put_newest,
+)
 from gesturekit.model import MotionStream
 from gesturekit.motion import Motion
 from gesturekit.viewer.human import Fitting, Human
+from gesturekit.wording import counted
 
 if TYPE_CHECKING:
     from gesturekit.model import Model
 
+_SINK_STEPS = 250
+"""Steps that may wait for a slow sink, about ten seconds; of more, the oldest is dropped."""
+_PATIENCE = 5.0
+"""Seconds that a sink gets to take what waits for it at the end."""
+_POLL = 0.05
+_NOTHING = np.empty(0, np.float32)
+_KEPT = 100_000
+"""Measurements kept for quantiles: those of the last hour or so."""
+
+
+@dataclass
+class Report:
+    """Figures of one run.
+
+    Attributes:
+        begun: `time.perf_counter` when the work began, loading included.
+        latency: of the stream and a block, seconds.
+        seconds: sound that the stream got.
+        frames: frames that it returned.
+        first_pose: seconds from `begun` to the first frame; None before it.
+        steps: seconds of each step.
+        lags: seconds from a sound's capture to its frame, for each step with frames.
+        sound: seconds that were bridged, silent, dropped and skipped.
+        overflows: times that the sound card lost sound.
+        missed: steps that slow sinks missed.
+        failures: one line for each sink that failed.
+    """
+
+    begun: float
+    latency: float = 0.0
+    seconds: float = 0.0
+    frames: int = 0
+    first_pose: float | None = None
+    computed: float = 0.0
+    steps: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    lags: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    sound: dict[str, float] = field(default_factory=dict)
+    overflows: int = 0
+    missed: int = 0
+    failures: list[str] = field(default_factory=list)
+
+    def timed(self, work: Callable[[], Motion | None]) -> Motion | None:
+        """Do a step of work, and keep how long it took and how many frames it made."""
+        begun = time.perf_counter()
+        motion = work()
+        ended = time.perf_counter()
+        self.steps.append(ended - begun)
+        self.computed += ended - begun
+        if motion is not None:
+            self.frames += motion.n_frames
+            self.first_pose = self.first_pose or ended - self.begun
+        return motion
+
+    def figures(self) -> dict[str, float | None]:
+        """Return all figures by name; seconds, if the name says no other unit."""
+        shares = {"p50": 0.5, "p95": 0.95, "max": 1.0}
+        late, early = _quantile(self.lags, 0.95), _quantile(self.lags, 0.05)
+        return {
+            "sound": self.seconds,
+            "frames": self.frames,
+            "algorithmic_latency": self.latency,
+            "load_to_first_pose": self.first_pose,
+            "real_time_factor": self.computed / self.seconds if self.seconds else None,
+            **{f"step_{label}": _quantile(self.steps, share) for label, share in shares.items()},
+            **{f"lag_{label}": _quantile(self.lags, share) for label, share in shares.items()},
+            "arrival_jitter": None if late is None or early is None else late - early,
+            **self.sound,
+            "overflows": self.overflows,
+            "steps_missed_by_sinks": self.missed,
+        }
+
+    def line(self) -> str:
+        """Return a summary of one line."""
+        parts = [f"{self.seconds:.1f} s", counted(self.frames, "frame")]
+        parts += [f"worst lag {max(self.lags):.2f} s"] if self.lags else []
+        parts += [f"{n:.2f} s of sound {name}" for name, n in self.sound.items() if n >= 0.005]
+        parts += [counted(self.overflows, "overflow")] if self.overflows else []
+        parts += [f"{counted(self.missed, 'step')} missed by a sink"] if self.missed else []
+        return ", ".join(parts)
+
+
+def _quantile(values: deque[float], share: float) -> float | None:
+    return float(np.quantile(values, share)) if values else None
+
+
+class _Feed:
+    """A sink in a thread, so that one that blocks or fails never slows the stream."""
+
+    def __init__(self, sink: Sink, fast: bool, warn: Callable[[str], None]) -> None:
+        self._sink, self._warn, self._name = sink, warn, type(sink).__name__
+        self._queue: queue.Queue[Step | None] = queue.Queue(_SINK_STEPS)
+        self._ended = threading.Event()
+        self._wait = self._ended if fast else None
+        self.missed, self.failure = 0, ""
+        self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+        self._thread.start()
+
+    def put(self, step: Step) -> None:
+        if not self._ended.is_set():
+            self.missed += len(put_newest(self._queue, step, self._wait))
+
+    def close(self) -> None:
+        put_newest(self._queue, None, self._wait)
+        self._thread.join(None if self._wait else _PATIENCE)
+        if self._thread.is_alive():
+            return self._fail("it does not take its frames")
+        try:
+            self._sink.close()
+        except Exception as error:
+            self._fail(error)
+
+    def _run(self) -> None:
+        try:
+            while (step := self._queue.get()) is not None:
+                self._sink.put(step)
+        except Exception as error:
+            self._fail(error)
+        self._ended.set()
+
+    def _fail(self, reason: object) -> None:
+        self.failure = f"{self._name}: {reason}"
+        self._warn(self.failure)
+
+
+def run(
+    stream: MotionStream,
+    source: Source,
+    sinks: list[Sink],
+    *,
+    report: Report,
+    stopped: threading.Event,
+    warn: Callable[[str], None],
+) -> None:
+    """Generate motion until the sound ends, or all sinks have failed.
+
+    Args:
+        stream: at the rate of `source`.
+        source: origin of the sound. If it is fast, nothing is dropped, and it waits for the sinks.
+        sinks: receivers of the motion; they are closed at the end.
+        report: figures to fill in.
+        stopped: ends the run when it is set.
+        warn: called with a line when something goes wrong that does not end the run.
+    """
+    timeline, intake = Timeline(source.rate, source.tolerance), Intake(source)
+    feeds = [_Feed(sink, source.fast, warn) for sink in sinks]
+
+    def deliver(samples: np.ndarray, work: Callable[[], Motion | None]) -> None:
+        seconds, lag = stream.n_frames / stream.fps, None
+        motion, captured = report.timed(work), timeline.moment(seconds)
+        if motion is not None and captured is not None:
+            lag = time.monotonic() - captured
+            report.lags.append(lag)
+        for feed in feeds:
+            feed.put(Step(samples, motion, seconds, lag))
+
+    try:
+        while not stopped.is_set() and (samples := _next(intake, timeline)) is not None:
+            if feeds and all(feed.failure for feed in feeds):
+                break
+            if len(samples):
+                deliver(samples, partial(stream.step, samples))
+        intake.stopped.set()
+        deliver(_NOTHING, stream.finish)
+    finally:
+        intake.stopped.set()
+        for feed in feeds:
+            feed.close()
+        report.seconds, report.overflows = timeline.seconds, source.overflows
+        report.sound = timeline.counts
+        report.sound["dropped"] += intake.dropped
+        report.missed = sum(feed.missed for feed in feeds)
+        report.failures = [feed.failure for feed in feeds if feed.failure]
+
+
+def _next(intake: Intake, timeline: Timeline) -> np.ndarray | None:
+    """Return the samples that the stream gets next, which may be none yet; None at the end."""
+    try:
+        block = intake.get(_POLL)
+    except queue.Empty:
+        return _NOTHING if intake.waits else timeline.idle(time.monotonic())
+    return None if block is None else timeline.place(block, time.monotonic())
+
+
 SINKS = "page, vmc:HOST:PORT or record:FILE"
 _EXAMPLE_SECONDS = 2.0
-_PAGE_SECONDS, _POLL = 10, 0.02
+_PAGE_SECONDS, _PAGE_POLL = 10, 0.02
 """Seconds for which a file waits until a page is open, and between looks at it."""
 
 
@@ -95,7 +288,7 @@ class Session:
         report.latency = stream.latency + self.block
         latest = time.monotonic() + (0 if source.is_live else _PAGE_SECONDS)
         while not all(getattr(sink, "is_open", True) for sink in opened):
-            if time.monotonic() >= latest or stopped.wait(_POLL):
+            if time.monotonic() >= latest or stopped.wait(_PAGE_POLL):
                 break
         run(stream, source, opened, report=report, stopped=stopped, warn=self._warn)
 

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from gesturekit.errors import ConfigError
 from gesturekit.training.data.features import FeatureConfig
 from gesturekit.training.run_config import (
+    Limits,
+    Positive,
     RunConfig,
-    check_at_most,
-    check_not_negative,
-    check_positive,
-    check_share,
+    Settings,
+    Share,
+    ShareBelowOne,
 )
 
 BackendName = Literal["auto", "torch", "numba"]
@@ -27,17 +28,17 @@ because a model must be sampled with the margin with which it was evaluated."""
 
 
 @dataclass(frozen=True)
-class NetworkConfig:
+class NetworkConfig(Settings):
     """The pyramid of generators and discriminators (section 3 of the paper)."""
 
-    levels: int = 10
+    levels: Annotated[int, Limits(64, is_above=True)] = 10
     """Number of levels L; each level has 3/4 as many frames as the next finer one."""
     channels: tuple[int, ...] = (6, 9, 9)
     """Channels of each hidden layer, see `channels_per`; an output layer follows."""
     channels_per: Literal["block", "layer"] = "block"
     """Unit of `channels`: each block (joint, contact label, root displacement), or the whole layer,
     of which a block then has ceil(channels / blocks) channels (GANimator: 128, 256, 256)."""
-    kernel: int = 5
+    kernel: Annotated[int, Limits(255, is_above=True)] = 5
     """Kernel size of the convolutions over time, in frames; odd."""
     neighbour_distance: int = 2
     """A skeleton convolution connects joints that are at most this many bones apart."""
@@ -48,7 +49,7 @@ class NetworkConfig:
     film: Literal["input", "all"] = "all"
     """Layers that FiLM modulates: only the input of each level (the paper), or also all hidden
     layers."""
-    embedding: int = 64
+    embedding: Annotated[int, Limits(4096, is_above=True)] = 64
     """Dimension of y_i, the embedding of the condition (eq. 8)."""
     rectify_embedding: bool = True
     """Apply a leaky ReLU to y_i; the paper's fully connected layer (section 3.3) has none."""
@@ -56,15 +57,11 @@ class NetworkConfig:
     """Joints whose channels FiLM modulates: the upper body, all, or a list of joint names."""
 
     def __post_init__(self) -> None:
-        check_positive(levels=self.levels, embedding=self.embedding, kernel=self.kernel)
-        check_at_most(64, levels=self.levels, layers=len(self.channels))
-        check_at_most(255, kernel=self.kernel)
-        check_at_most(4096, embedding=self.embedding, channels=max(self.channels, default=0))
-        check_not_negative(neighbour_distance=self.neighbour_distance)
+        super().__post_init__()
         if self.kernel % 2 == 0:
             raise ConfigError(f"kernel: {self.kernel} must be odd")
-        if not self.channels or min(self.channels) <= 0:
-            raise ConfigError(f"channels: {list(self.channels)} must be numbers above 0")
+        if not 0 < len(self.channels) <= 64 or not all(0 < n <= 4096 for n in self.channels):
+            raise ConfigError(f"channels: {list(self.channels)} must be 1 to 64 numbers to 4096")
 
     @property
     def n_frames_of_patch(self) -> int:
@@ -82,7 +79,7 @@ class NetworkConfig:
 
 
 @dataclass(frozen=True)
-class LossConfig:
+class LossConfig(Settings):
     """Weights of the losses (eq. 11) and their variants; a weight of 0 turns a loss off.
 
     Losses 'on random steps' apply to motion generated from random noise and unpaired speech.
@@ -138,23 +135,14 @@ class LossConfig:
     - `printed`: gradient of the mean score with respect to a whole window, as eq. 13 is printed.
     """
 
-    def __post_init__(self) -> None:
-        check_not_negative(**{k: v for k, v in vars(self).items() if isinstance(v, (int, float))})
-
-
-_ABOVE_ZERO = (
-    *("learning_rate", "batch", "renew_every", "first_stage", "further_stages"),
-    *("window", "window_cache"),
-)
-
 
 @dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(Settings):
     """Training stages, steps and batches. A stage trains two levels, the coarsest first."""
 
-    first_stage: int = 15000
+    first_stage: Positive[int] = 15000
     """Iterations of the first stage, which trains the two coarsest levels."""
-    further_stages: int = 25000
+    further_stages: Positive[int] = 25000
     """Iterations of each further stage."""
     discriminator_steps: int = 5
     """Discriminator steps per iteration."""
@@ -162,45 +150,39 @@ class TrainingConfig:
     """Random-generation steps per iteration, with unpaired speech."""
     reconstruction_steps: int = 1
     """Reconstruction steps per iteration, with paired speech."""
-    learning_rate: float = 1e-4
+    learning_rate: Positive[float] = 1e-4
     """Learning rate of Adam, for generators and discriminators."""
     betas: tuple[float, ...] = (0.9, 0.999)
     """Betas of Adam. Lower values limit how far a single large gradient moves the weights."""
     decay_at: float = 1.0
     """Fraction of a stage's iterations after which the learning rate drops to a tenth; 1 for
     never."""
-    batch: int = 4
+    batch: Positive[int] = 4
     """Windows per step, over all processes; always 1 with `window: null`."""
-    window: float | None = 10.0
+    window: Positive[float | None] = 10.0
     """Length of the training windows in seconds; a window of unpaired speech that is longer than
     its clip continues with another clip. null trains on whole recordings and, in random steps,
     whole unpaired clips, one at a time; each is drawn equally often (the paper)."""
-    window_cache: int | None = 64
+    window_cache: Positive[int | None] = 64
     """Number of windows for which the coarser levels are generated in advance and reused; null
     draws new noise and speech at every step, as both papers do."""
-    renew_every: int = 50
+    renew_every: Positive[int] = 50
     """Iterations after which the window cache is regenerated."""
     margins: bool = False
     """Generate the motions of random steps with the margins that `generate` cuts off, and compute
     the losses without them. Otherwise motions in training move less near their ends than the
     model's output does. Not in the papers."""
-    silence: float = 0.1
+    silence: ShareBelowOne = 0.1
     """Fraction of windows on random steps whose speech is replaced by silence."""
 
     def __post_init__(self) -> None:
-        for name in _ABOVE_ZERO:
-            if (value := getattr(self, name)) is not None:
-                check_positive(**{name: value})
-        names = ("discriminator_steps", "generator_steps", "reconstruction_steps", "decay_at")
-        check_not_negative(**{name: getattr(self, name) for name in names})
+        super().__post_init__()
         if not self.generator_steps and not self.reconstruction_steps:
             raise ConfigError(
                 "generator_steps and reconstruction_steps are both 0: nothing would be trained"
             )
         if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
             raise ConfigError(f"betas: {list(self.betas)} must be two numbers from 0 to below 1")
-        if not 0 <= self.silence < 1:
-            raise ConfigError(f"silence: {self.silence} must be at least 0 and below 1")
 
     @property
     def windows_per_step(self) -> int:
@@ -219,18 +201,15 @@ class PyramidFeatureConfig(FeatureConfig):
 
 
 @dataclass(frozen=True)
-class StyleConfig:
+class StyleConfig(Settings):
     """Label mode: the `style` of each manifest item is a condition."""
 
-    mixing: float = 0.9
+    mixing: Share = 0.9
     """Fraction of motions on random steps that have one style up to a random level and another
     style at the finer levels."""
     condition_discriminator: bool = True
     """Condition the discriminators on the style, with recordings of the same style as real samples;
     in the paper discriminators are unconditional."""
-
-    def __post_init__(self) -> None:
-        check_share(mixing=self.mixing)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,13 +220,13 @@ class MultiresConfig(RunConfig):
     """Name of the system; always `multires` here."""
     out: Path = field(default_factory=lambda: Path("runs/multires"))
     """Run folder."""
-    fps: float = 25.0
+    fps: Positive[float] = 25.0
     """Frame rate of the finest level; recordings are resampled to it."""
     normalise: bool = True
     """Normalise motion vectors to zero mean and comparable spread; GANimator does not."""
     face_forward: bool = True
     """Turn each recording about the vertical so that its mean heading is +Z; the papers do not."""
-    contact_threshold: float = 0.2
+    contact_threshold: Positive[float] = 0.2
     """Speed below which a foot point is in contact (eq. 1), in m/s for a body of 1.7 m. The paper
     does not give its value; GANimator has 0.54 (0.018 m per frame at 30 fps)."""
     z_star: Literal["shared", "full"] = "shared"
@@ -257,7 +236,7 @@ class MultiresConfig(RunConfig):
     """Longest patch of z*, in frames of level 1. Level-1 noise of random steps and of generation is
     then made of patches of z* in random order, taken from recordings of the requested style; 0
     draws new noise (both papers)."""
-    noise_levels: int = 1
+    noise_levels: Positive[int] = 1
     """Number of levels, from the coarsest, that get noise in generation (GANimator: only the
     first). In training all levels get noise (both papers)."""
     features: PyramidFeatureConfig | None = field(default_factory=PyramidFeatureConfig)
@@ -279,7 +258,7 @@ class MultiresConfig(RunConfig):
     """Weights of the losses."""
     training: TrainingConfig = field(default_factory=TrainingConfig)
     """Stages, steps and batches."""
-    checkpoint_every: int = 250
+    checkpoint_every: Positive[int] = 250
     """Iterations between checkpoints."""
     eval_every: int = 0
     """Iterations between cheap evaluations (`quick_metrics`) on the training speech, written to
@@ -295,8 +274,6 @@ class MultiresConfig(RunConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_not_negative(z_star_shuffle=self.z_star_shuffle)
-        check_positive(noise_levels=self.noise_levels, contact_threshold=self.contact_threshold)
         if self.state and (self.z_star_shuffle or self.z_star != "shared"):
             raise ConfigError("state: true cannot be combined with z_star_shuffle or z_star: full")
         if self.retrieval and not self.state:

@@ -191,8 +191,8 @@ class SkeletonConv1d(nn.Module):
 
 def module_list(modules: Iterable[Modules]) -> Sequence[Modules]:
     """Return torch's list of these modules, with their type, which torch's own lacks."""
-    found: Any = nn.ModuleList(modules)
-    return found
+    typed: Any = nn.ModuleList(modules)
+    return typed
 
 
 def skeleton_layers(

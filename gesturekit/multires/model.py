@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any, Literal, Unpack
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, Unpack
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -19,54 +18,74 @@ from gesturekit.model import build_controls, document_controls
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
+from gesturekit.multires.conditions import Conditions, style_levels
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControls
+from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.layers import n_weights
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence, generated
+from gesturekit.multires.request import Request, check_controls
 from gesturekit.multires.retrieval import (
+    RecordedLibrary,
     library_row,
     library_tensors,
     library_values,
     load_library,
 )
-from gesturekit.multires.sampling.conditions import Conditions, style_levels
-from gesturekit.multires.sampling.request import Request, check_controls
-from gesturekit.multires.sampling.sampler import Sampler
-from gesturekit.multires.sampling.trained_model import (
-    TrainedModel,
-    TrainedNoise,
-    TrainedSequence,
-    generated,
-)
+from gesturekit.multires.sampler import Sampler
 from gesturekit.multires.stream import MultiresStream
 from gesturekit.state.channels import StateChannels
-from gesturekit.state.files import load_state, state_tensors, state_values
-from gesturekit.state.live import live_rows
+from gesturekit.state.files import load_state, state_values
+from gesturekit.state.live import AheadPrediction, live_rows
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.data.features import (
-    conditioner_tensors,
-    conditioner_values,
-    load_conditioner,
-)
-from gesturekit.training.model_folder import (
-    ModelParts,
-    common_arguments,
-    load_model,
-    model_digest,
-    model_readme,
-    rig_values,
-    save_model,
-)
-from gesturekit.training.run.session import prepare_device
+from gesturekit.training.data.features import conditioner_values, load_conditioner
+from gesturekit.training.model_folder import ModelParts, TrainedModel
 from gesturekit.training.seeds import checked_item, checked_seed
 
 _CONVOLUTION = re.compile(r"layers\.\d+\.weight")
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MultiresModel(TrainedModel):
-    """Model that generates motion by a pyramid of small GANs, from speech, a style, both or
-    nothing."""
+    """Model that generates motion by a pyramid of GANs, from speech, a style, both or nothing.
+
+    Attributes (beside those of `TrainedModel`):
+        network_config: architecture of the pyramid.
+        noise: the model's noise.
+        library: recorded motion that is played; None without.
+        fastest: ground speed in the fastest second of the training motion, m/s.
+    """
+
+    kind: ClassVar[str] = "multires"
+
+    representation: MultiresRepresentation
+    normaliser: Normaliser
+    conditions: Conditions
+    network_config: NetworkConfig
+    network: MultiresGenerator
+    noise: TrainedNoise
+    library: RecordedLibrary | None
+    fastest: float
+
+    @property
+    def retrieves(self) -> bool:
+        """True for a model that plays whole bodies, without its network."""
+        return self.library is not None and self.library.is_whole
+
+    @property
+    def ahead(self) -> tuple[AheadPrediction, ...]:
+        """Predictions for live speech; empty for a model that cannot stream."""
+        return () if self.state_process is None else self.state_process.ahead
+
+    @torch.no_grad()
+    def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the state of movement (C, T) of motion vectors (T, D), in their own units."""
+        assert self.state_process is not None
+        values = torch.from_numpy(vectors.T[None]).float()
+        places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
+        return self.state_process.channels(places, self.fps)[0].double().numpy()
 
     @document_controls(MultiresControls)
     @gesturekit_errors()
@@ -215,20 +234,11 @@ class MultiresModel(TrainedModel):
         values = generated(self, [noise, *[None] * (len(lengths) - 1)], lengths, condition)
         return self.representation.decode(values, self.fps)
 
-    def fingerprint(self) -> str:
-        """Return the SHA-256 of what `save` writes, its README apart."""
-        return model_digest(*self.parts())
-
-    def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
-        """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
-        save_model(folder, *self.parts(), self._readme(notes or {}))
-
-    def parts(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
-        """Return config.yaml, skeleton.json and model.safetensors of the folder."""
+    def _contents(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """Return what a multires model adds to config.yaml and model.safetensors."""
         conditions, noise = self.conditions, self.noise
         conditioner = conditions.conditioner
         config = {
-            **self.first_values(),
             "features": None
             if conditioner is None
             else {**conditioner_values(conditioner), "residual": conditions.residual},
@@ -242,87 +252,43 @@ class MultiresModel(TrainedModel):
             "fastest": self.fastest,
             "smooth": self.smooth,
         }
-        tensors = {f"network.{k}": v.contiguous() for k, v in self.network.state_dict().items()}
-        tensors |= {f"z_star.{name}": value for name, value in noise.z_star.items()}
-        tensors |= {
-            "sigma": noise.sigma,
-            "motion.mean": self.normaliser.mean,
-            "motion.scale": self.normaliser.scale,
-            **conditioner_tensors(conditioner),
-            **({} if self.library is None else library_tensors(self.library)),
-            **({} if self.state_process is None else state_tensors(self.state_process)),
-        }
-        return config, rig_values(self.representation, self.speakers), tensors
+        tensors = {f"z_star.{name}": value for name, value in noise.z_star.items()}
+        tensors["sigma"] = noise.sigma
+        return config, tensors | ({} if self.library is None else library_tensors(self.library))
 
-    def _readme(self, notes: Mapping[str, str]) -> str:
-        """Return the text of README.md, with `notes` as further lines."""
-        lines = {
-            "Kind": f"multires, {self.network_config.levels} levels",
-            "Motion": self.motion_row(),
-        }
-        call = "seconds=10"
-        if speech := self.speech_rows():
-            lines |= speech
-            call = '"speech.wav"'
-        lines["Moved by"] = "recordings" if self.retrieves else "the network"
+    def _readme(self) -> tuple[dict[str, str], str]:
+        """Return the facts of README.md, and the arguments of `generate` in its example."""
+        rows = {"Kind": f"multires, {self.network_config.levels} levels", **self._common_rows()}
+        rows["Moved by"] = "recordings" if self.retrieves else "the network"
         if self.library is not None:
-            lines["Moved by"] += f"; {library_row(self.library)}"
-        if (process := self.state_process) is not None:
-            lines["State of movement"] = ", ".join(process.channels.names)
-            if process.wanted is not None:
-                lines["Hand movement from speech"] = process.wanted.summary()
-        lines |= live_rows(self.ahead)
+            rows["Moved by"] += f"; {library_row(self.library)}"
+        rows |= self._state_rows() | live_rows(self.ahead)
+        call = "seconds=10" if self.conditions.conditioner is None else '"speech.wav"'
         if self.styles:
-            lines["Styles"] = ", ".join(self.styles)
+            rows["Styles"] = ", ".join(self.styles)
             call += f', style="{self.styles[0]}"'
-        return model_readme({**lines, **notes}, call)
+        return rows, call
 
     @classmethod
-    def load(
+    def _fields(
         cls,
-        folder: str | Path,
-        *,
-        weights: WeightPlaces | None = None,
-        device: str = "cpu",
-        dtype: Literal["fp32"] = "fp32",
-    ) -> MultiresModel:
-        """Read a model folder.
-
-        Args:
-            folder: as written by `save`.
-            weights: path of the encoder weights used in training; {kind: path} for several
-                encoders.
-            device: where WavLM computes: auto, cpu, cuda, cuda:1 ... The pyramid stays on the CPU.
-            dtype: precision of the pyramid; only fp32.
-
-        Raises:
-            ModelError: a part is missing, damaged, or of a newer format; another dtype.
-            WeightsError: weights are missing, or differ from those used in training.
-            ConfigError: there is no such device.
-        """
-        if dtype != "fp32":
-            raise ModelError(f"dtype={dtype!r}: {folder} is a multires model, which is fp32 only")
-        device = str(prepare_device(device))
-        return load_model(folder, cls.kind, lambda parts: cls._from_parts(parts, weights, device))
-
-    @classmethod
-    def _from_parts(
-        cls, parts: ModelParts, weights: WeightPlaces | None, device: str
-    ) -> MultiresModel:
-        """Return the model of a folder; see `load`."""
+        parts: ModelParts,
+        weights: WeightPlaces | None,
+        device: torch.device,
+        dtype: torch.dtype,
+    ) -> dict[str, Any]:
+        """Return the fields of a folder that are a multires model's own; see `load`."""
         config, tensors = parts.config, parts.tensors
-        where = str(parts.folder / "config.yaml")
+        where, fps = str(parts.folder / "config.yaml"), float(config["fps"])
         network_config = build(NetworkConfig, config["network"], where=where)
-        common = common_arguments(parts)
         skeleton = Skeleton.from_json(parts.rig["skeleton"])
         representation = MultiresRepresentation.from_json(skeleton, parts.rig["motion"])
         features, conditioner = config["features"], None
         if features is not None:
-            fps = common["fps"]
-            conditioner = load_conditioner(features, tensors, fps, weights, device)
+            conditioner = load_conditioner(features, tensors, fps, weights, str(device))
         n_speech = 0 if conditioner is None else conditioner.dim
         channels = StateChannels.find(skeleton, representation.joints)
-        state = load_state(config["state"], tensors, channels, common["fps"], n_speech)
+        state = load_state(config["state"], tensors, channels, fps, n_speech)
         conditions = Conditions(
             conditioner,
             tuple(map(str, config["styles"])),
@@ -345,15 +311,14 @@ class MultiresModel(TrainedModel):
             z_star_shuffle=int(config["z_star_shuffle"]),
             noise_levels=int(config["noise_levels"]),
         )
-        return cls(
-            **common,
-            representation=representation,
-            normaliser=Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
-            conditions=conditions,
-            network_config=network_config,
-            network=network.eval(),
-            noise=noise,
-            library=load_library(parts, representation, len(channels.names)),
-            state_process=state,
-            fastest=float(config["fastest"]),
-        )
+        return {
+            "representation": representation,
+            "normaliser": Normaliser(tensors["motion.mean"], tensors["motion.scale"]),
+            "conditions": conditions,
+            "network_config": network_config,
+            "network": network,
+            "noise": noise,
+            "library": load_library(parts, representation, len(channels.names)),
+            "state_process": state,
+            "fastest": float(config["fastest"]),
+        }

@@ -373,6 +373,21 @@ def played_pieces(
     return pieces
 
 
+def played_passive(
+    library: RecordedLibrary, pieces: PieceSequence, motion: Motion, first: int
+) -> Motion:
+    """Return a motion with the fingers and the face of pieces, from their frame `first` on."""
+    if library.passive.is_empty:
+        return motion
+    n_motion = len(library.recordings[0].motion)
+
+    def values(frames: slice) -> Tensor:
+        shown = np.arange(frames.start, frames.stop) + first
+        return torch.from_numpy(pieces.values(shown)[:, n_motion:].T)
+
+    return library.passive.applied(motion, values)
+
+
 _CURVES = ("state", "motion", "passive")
 
 
@@ -442,9 +457,9 @@ def load_library(
         n_frames = recording.state.shape[-1]
         for name, size in sizes.items():
             curves = getattr(recording, name)
-            if tuple(curves.shape) != (size, n_frames) or not n_frames:
-                shape = tuple(curves.shape)
-                raise ValueError(f"recorded.{i}.{name} has the shape {shape}, not {size} rows")
-            if not torch.isfinite(curves).all():
-                raise ValueError(f"recorded.{i}.{name} has numbers that are not finite")
+            shape = tuple(curves.shape)
+            if shape != (size, n_frames) or not n_frames or not torch.isfinite(curves).all():
+                raise ValueError(
+                    f"recorded.{i}.{name} has the shape {shape}, not {size} rows of finite numbers"
+                )
     return library

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -24,11 +24,11 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rotations
+from gesturekit.multires.conditions import requested_styles
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.retrieval import PieceSequence, Resumable
-from gesturekit.multires.sampling.conditions import requested_styles
-from gesturekit.multires.sampling.keyframes import moved
-from gesturekit.multires.sampling.trained_model import TrainedModel, finite
+from gesturekit.multires.keyframes import moved
+from gesturekit.multires.pyramid import finite
+from gesturekit.multires.retrieval import PieceSequence, Resumable, played_passive
 from gesturekit.multires.stream_window import (
     Forecast,
     LiveState,
@@ -36,8 +36,12 @@ from gesturekit.multires.stream_window import (
     WindowLevels,
 )
 from gesturekit.postprocess.feet import feet_of_legs
+from gesturekit.state.files import mood_seed
 from gesturekit.state.live import AheadPrediction, FeatureWindow
 from gesturekit.training.seeds import checked_item, checked_seed, rng_for
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 _FURTHEST = 0.1
 """A standing foot is kept within this share of the leg length from where it would be."""
@@ -183,7 +187,7 @@ class MultiresStream(Resumable):
 
     def __init__(
         self,
-        model: TrainedModel,
+        model: MultiresModel,
         sample_rate: int,
         look_ahead: float,
         seed: int,
@@ -214,9 +218,8 @@ class MultiresStream(Resumable):
         self._levels = WindowLevels(model, lengths, styles, range(used[0], used[-1] + 1))
         assert model.state_process is not None
         self._process = model.state_process
-        mood_seed = seed if controls["mood_seed"] is None else controls["mood_seed"]
         seeds = (
-            rng_for(mood_seed, item, "live", "mood").initial_seed() >> 1,
+            rng_for(mood_seed(seed, controls), item, "live", "mood").initial_seed() >> 1,
             rng_for(seed, item, "live", "carriers").initial_seed() >> 1,
         )
         group = controls["speaker"], style
@@ -298,7 +301,9 @@ class MultiresStream(Resumable):
                 if self._steps <= _LATER:
                     continue
                 frame = self._placed(self._blended())
-                frames.append(self._with_passive(frame))
+                if self._pieces is not None and self.model.library is not None:
+                    frame = played_passive(self.model.library, self._pieces, frame, self.n_frames)
+                frames.append(frame)
                 self.n_frames += 1
         return stacked(frames) if frames else None
 
@@ -329,13 +334,6 @@ class MultiresStream(Resumable):
         if self._pieces is not None and self._pieces.next_frame <= self._steps - 1:
             known = self._process.with_voice(self._state.coming, speech[self._around :].T)
             self._pieces.choose(known)
-
-    def _with_passive(self, frame: Motion) -> Motion:
-        """Return the next frame with the fingers and the face of recordings, if any."""
-        if self._pieces is None or self.model.library is None:
-            return frame
-        played = torch.from_numpy(self._pieces.values(np.array([self.n_frames])).T)
-        return self.model.library.passive.applied(frame, lambda _: played)
 
     def _predicted(self, window: FeatureWindow) -> Forecast | None:
         """Return predictions of fast and slow movement; None without."""
@@ -375,7 +373,7 @@ class MultiresStream(Resumable):
 
 
 def _predictions(
-    model: TrainedModel, look_ahead: float, controls: MultiresControls
+    model: MultiresModel, look_ahead: float, controls: MultiresControls
 ) -> list[AheadPrediction]:
     """Return the predictions of this look-ahead and all smaller ones, the largest first.
 
@@ -411,7 +409,7 @@ def _predictions(
 
 
 def _styles(
-    model: TrainedModel, controls: MultiresControls, lengths: Sequence[int], seed: int, item: str
+    model: MultiresModel, controls: MultiresControls, lengths: Sequence[int], seed: int, item: str
 ) -> tuple[list[Tensor], int | None]:
     """Return the styles (1, K, T_i) of each level, and the number of the first one."""
     if not model.styles:

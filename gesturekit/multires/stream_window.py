@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -21,14 +21,17 @@ from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
 from gesturekit.multires.backend import choose_backend
+from gesturekit.multires.conditions import LevelConditions
 from gesturekit.multires.layers import SLOPE, resample_part
 from gesturekit.multires.networks import Film
+from gesturekit.multires.pyramid import halo, mixed_carriers
 from gesturekit.multires.retrieval import Resumable
-from gesturekit.multires.sampling.conditions import LevelConditions
-from gesturekit.multires.sampling.trained_model import TrainedModel, halo, mixed_carriers
 from gesturekit.state.channels import averaged
 from gesturekit.state.live import AVERAGED_SECONDS, FeatureWindow
 from gesturekit.state.process import Group, StateProcess
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 _SMOOTHED_SECONDS = 3.0
 """Sound before a window of features, for the extractors that smooth over seconds."""
@@ -221,7 +224,7 @@ class LiveState(Resumable):
 class WindowLevels:
     """All levels of a model with a state of movement, for part of a window.
 
-    The result is that of `sampling.trained_model.sample`, but for rounding. It takes a third of the
+    The result is that of `pyramid.sample`, but for rounding. It takes a third of the
     time: frames on which the part does not depend are not computed, resampling is a product with a
     matrix, and all gains and shifts of a level are one product.
 
@@ -233,7 +236,7 @@ class WindowLevels:
     """
 
     def __init__(
-        self, model: TrainedModel, lengths: Sequence[int], styles: Sequence[Tensor], part: range
+        self, model: MultiresModel, lengths: Sequence[int], styles: Sequence[Tensor], part: range
     ) -> None:
         self._backend = choose_backend("auto", *model.network.levels)
         self._columns, self._n_carriers = model.conditions.columns, model.conditions.n_carriers
@@ -305,7 +308,7 @@ class _Level:
     @torch.no_grad()
     def __init__(
         self,
-        model: TrainedModel,
+        model: MultiresModel,
         number: int,
         lengths: Sequence[int],
         styles: Sequence[Tensor],

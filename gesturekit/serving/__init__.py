@@ -2,4 +2,4 @@
 
 from gesturekit.lazy import attach
 
-__getattr__ = attach(__name__, {}, {"Limits": "requests", "create_app": "app"})[1]
+__getattr__ = attach(__name__, {}, {"Limits": "app", "create_app": "app"})[1]

@@ -37,6 +37,11 @@ def check_drawn(controls: Mapping[str, object], process: StateProcess | None) ->
                 raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")
 
 
+def mood_seed(seed: int, controls: Mapping[str, Any]) -> int:
+    """Return the seed of the drawn state of movement: the control of that name, or `seed`."""
+    return seed if controls["mood_seed"] is None else int(controls["mood_seed"])
+
+
 def given_state(process: StateProcess, state: str | Path | np.ndarray, n_frames: int) -> np.ndarray:
     """Return a state (T, C) of a process, cut to a motion of T frames or held to its end.
 

@@ -1,4 +1,4 @@
-"""Folders on disk of a model, and of the training data from which a resumed run continues."""
+"""Trained models: their common fields, their folders, and the data from which a run resumes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import json
 import logging
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
+import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
@@ -18,14 +19,24 @@ from torch import Tensor
 
 import audio_features as af
 from audio_features.atomic import atomic_write, remove_unfinished, write_tensors
-from gesturekit.errors import ConfigError, ModelError
+from audio_features.extractor import needs_of
+from audio_features.weight_files import WeightPlaces
+from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
+from gesturekit.model import Controls, Inputs
+from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.state.files import check_drawn, state_tensors
+from gesturekit.state.process import StateProcess
 from gesturekit.training.config import dump_yaml, read_yaml
+from gesturekit.training.data.features import conditioner_tensors
+from gesturekit.training.data.own_rig import on_rig
 from gesturekit.training.run.folder import unfinished
-from gesturekit.training.run.session import memory_ran_out
+from gesturekit.training.run.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
 from gesturekit.training.run_config import MOST_SMOOTH
+from gesturekit.wording import counted
 
 FORMAT = 1
 _MOST_HEADER = 4 << 20  # some 40,000 tensors; the largest of our models have 2,000
@@ -38,6 +49,7 @@ class _HasSkeleton(Protocol):
 
 Model = TypeVar("Model", bound=_HasSkeleton)
 Data = TypeVar("Data")
+_DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 
 log = logging.getLogger(__name__)
 
@@ -214,17 +226,234 @@ def model_readme(rows: Mapping[str, str], call: str) -> str:
     )
 
 
-def common_arguments(parts: ModelParts) -> dict[str, Any]:
-    """Return the fields of `BaseModel` from a model folder, without those of each system."""
-    smooth = parts.config["smooth"]
-    if smooth is not None and not 0 <= smooth <= MOST_SMOOTH:
-        raise ValueError(f"smooth is {smooth}, not 0 to {MOST_SMOOTH} s")
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class TrainedModel:
+    """Fields of every trained model; each system adds its own, its networks and its generation.
+
+    The value goes whole to whoever samples from it.
+
+    Attributes:
+        fps: frames per second at which the network (its finest level) works.
+        representation: the motion vector of the rig.
+        conditions: inputs of the model beside noise or the noisy motion.
+        normaliser: mean and scale of motion vectors.
+        network: in evaluation mode.
+        state_process: from which the state of movement is drawn; None for a model without it.
+        speakers: a reference skeleton for each speaker that the corpus named.
+        smooth: default of the control `smooth`, in seconds; None for no smoothing.
+        recorded_fps: the recordings' rate, which generated motion gets.
+        folder: folder that it was loaded from; None for one that was not loaded.
+    """
+
+    kind: ClassVar[str]
+    dtypes: ClassVar[tuple[str, ...]] = ("fp32",)
+
+    fps: float
+    representation: Any
+    conditions: Any
+    normaliser: Any
+    network: Any
+    state_process: StateProcess | None = None
+    speakers: Mapping[str, Skeleton] = field(default_factory=dict)
+    smooth: float | None = None
+    recorded_fps: float
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        self.network.eval()
+
+    def __repr__(self) -> str:
+        folder = "" if self.folder is None else f"{str(self.folder)!r}: "
+        return f"{type(self).__name__}({folder}{self._rates_and_joints()})"
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The rig, with all the joints of the training files."""
+        return self.representation.skeleton
+
+    @property
+    def styles(self) -> tuple[str, ...]:
+        """Names of its styles; empty for a model without styles."""
+        return self.conditions.styles
+
+    @property
+    def inputs(self) -> Inputs:
+        """Inputs besides style and speaker."""
+        speech = self.conditions.conditioner
+        if speech is None:
+            return Inputs()
+        return Inputs(speech=True, words=speech.takes_words, files=speech.files)
+
+    def check_common(self, controls: Controls, samples: int) -> None:
+        """Check a request's controls that every system has, and its number of motions.
+
+        Raises:
+            ModelError: a speaker that the model does not know, or controls without effect.
+        """
+        speaker = controls["speaker"]
+        if speaker is not None and speaker not in self.speakers:
+            known = ", ".join(sorted(self.speakers)) or "its corpus named none"
+            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
+        if samples < 1:
+            raise ModelError(f"samples={samples}: ask for at least 1")
+        check_drawn(controls, self.state_process)
+
+    @torch.no_grad()
+    @gesturekit_errors()
+    def state(self, motion: str | Path | Motion) -> np.ndarray:
+        """Measure the state of movement of a motion: what `generate` takes as `state`.
+
+        Args:
+            motion: a motion or its file; one on another rig is retargeted.
+
+        Returns:
+            (T, C) at the model's frame rate; `state_process.channels.names` names the channels.
+
+        Raises:
+            ModelError: a model without a state of movement, or a rig that cannot be retargeted.
+            FormatError: the file cannot be read.
+        """
+        if self.state_process is None:
+            raise ModelError("state: this model was trained without the state of movement")
+        motion = motion if isinstance(motion, Motion) else Motion.load(motion)
+        motion = on_rig(self.representation, motion.resample(self.fps))
+        return self._measured_state(self.representation.encode(motion)).T
+
+    def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the state of movement (C, T) of motion vectors, in their own units."""
+        raise NotImplementedError
+
+    def fingerprint(self) -> str:
+        """Return the SHA-256 of what `save` writes, its README apart."""
+        return model_digest(*self.parts())
+
+    def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
+        """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
+        rows, call = self._readme()
+        save_model(folder, *self.parts(), model_readme({**rows, **(notes or {})}, call))
+
+    def parts(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
+        """Return the contents of config.yaml, skeleton.json and model.safetensors."""
+        first = {
+            "kind": self.kind,
+            "fps": self.fps,
+            "recorded_fps": self.recorded_fps,
+            "joints": list(self.representation.joints),
+        }
+        network = self.network.state_dict().items()
+        tensors = {f"network.{name}": value.contiguous() for name, value in network}
+        tensors |= fitted_tensors(self.normaliser, self.conditions.conditioner, self.state_process)
+        config, further = self._contents()
+        return first | config, rig_values(self.representation, self.speakers), tensors | further
+
+    def _contents(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """Return what the system adds to config.yaml and model.safetensors."""
+        raise NotImplementedError
+
+    def _readme(self) -> tuple[dict[str, str], str]:
+        """Return the facts of README.md, and the arguments of `generate` in its example."""
+        raise NotImplementedError
+
+    def _rates_and_joints(self) -> str:
+        rate = "" if self.recorded_fps == self.fps else f", resampled to {self.recorded_fps:g} fps"
+        joints = f"{len(self.representation.joints)} of {self.skeleton.n_joints} joints modelled"
+        return f"{self.fps:g} fps{rate}, {joints}"
+
+    def _common_rows(self) -> dict[str, str]:
+        """Return the motion and the speech features, for README.md."""
+        rows, conditioner = {"Motion": self._rates_and_joints()}, self.conditions.conditioner
+        if conditioner is None:
+            return rows
+        spec = conditioner.extractor.spec
+        rows["Speech features"] = json.dumps(spec)
+        if needs := needs_of(spec):
+            rows["Needs"] = "; ".join(needs)
+        if conditioner.components is not None:
+            width, count = conditioner.components.shape
+            components = counted(count, "component")
+            rows["Reduced features"] = f"{width} features reduced to {components}"
+        return rows
+
+    def _state_rows(self) -> dict[str, str]:
+        """Return the channels of the state of movement and their prediction, for README.md."""
+        if (process := self.state_process) is None:
+            return {}
+        rows = {"State of movement": ", ".join(process.channels.names)}
+        if process.wanted is not None:
+            rows["Hand movement from speech"] = process.wanted.summary()
+        return rows
+
+    @classmethod
+    def load(
+        cls,
+        folder: str | Path,
+        *,
+        weights: WeightPlaces | None = None,
+        device: str = "cpu",
+        dtype: str = "fp32",
+    ) -> Self:
+        """Read a model folder.
+
+        Args:
+            folder: as written by `save`.
+            weights: path of the encoder weights used in training; {kind: path} for several
+                encoders.
+            device: where encoders and the denoiser of a diffusion model compute: auto, cpu, cuda,
+                cuda:1 ... The pyramid of a multires model stays on the CPU.
+            dtype: precision of the network. `bf16`, of diffusion models, halves memory and is
+                faster on processors that support it; predictions then differ by about 1 %.
+
+        Raises:
+            ModelError: a part is missing, damaged, or of a newer format; another dtype; a GPU's
+                memory ran out.
+            WeightsError: weights are missing, or differ from those used in training.
+            ConfigError: there is no such device.
+        """
+        if dtype not in cls.dtypes:
+            raise ModelError(f"dtype={dtype!r}: a {cls.kind} model is {' or '.join(cls.dtypes)}")
+        place = prepare_device(device)
+        if dtype == "bf16":
+            warn_of_slow_bfloat16(place)
+
+        def assemble(parts: ModelParts) -> Any:
+            smooth = parts.config["smooth"]
+            if smooth is not None and not 0 <= smooth <= MOST_SMOOTH:
+                raise ValueError(f"smooth is {smooth}, not 0 to {MOST_SMOOTH} s")
+            return cls(
+                fps=float(parts.config["fps"]),
+                speakers=read_speakers(parts.rig),
+                smooth=None if smooth is None else float(smooth),
+                recorded_fps=checked_fps(parts.config["recorded_fps"]),
+                folder=parts.folder.resolve(),
+                **cls._fields(parts, weights, place, _DTYPES[dtype]),
+            )
+
+        return load_model(folder, cls.kind, assemble)
+
+    @classmethod
+    def _fields(
+        cls,
+        parts: ModelParts,
+        weights: WeightPlaces | None,
+        device: torch.device,
+        dtype: torch.dtype,
+    ) -> dict[str, Any]:
+        """Return the system's own fields, of a folder; see `load`.
+
+        Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
+        """
+        raise NotImplementedError
+
+
+def fitted_tensors(
+    normaliser: Any, conditioner: SpeechConditioner | None, process: StateProcess | None
+) -> dict[str, Tensor]:
+    """Return the tensors of what training fits to its recordings, before the network."""
     return {
-        "fps": float(parts.config["fps"]),
-        "speakers": read_speakers(parts.rig),
-        "smooth": None if smooth is None else float(smooth),
-        "recorded_fps": checked_fps(parts.config["recorded_fps"]),
-        "folder": parts.folder.resolve(),
+        "motion.mean": normaliser.mean,
+        "motion.scale": normaliser.scale,
+        **conditioner_tensors(conditioner),
+        **({} if process is None else state_tensors(process)),
     }
 
 

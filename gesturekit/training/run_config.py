@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, get_origin, get_type_hints
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import KNOWN_PARTS
@@ -23,36 +23,53 @@ MOST_SMOOTH = 2.0
 """Seconds up to which motion is smoothed, as by the control `smooth`."""
 
 
-def check_positive(**values: float) -> None:
-    """Raise ConfigError for a value that is not above 0 and finite."""
-    for name, value in values.items():
-        if not 0 < value < math.inf:
-            raise ConfigError(f"{name}: {value!r} must be above 0")
+Number = TypeVar("Number")
 
 
-def check_not_negative(**values: float) -> None:
-    """Raise ConfigError for a value that is below 0 or not finite."""
-    for name, value in values.items():
-        if not 0 <= value < math.inf:
-            raise ConfigError(f"{name}: {value!r} must be at least 0")
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a setting that is a number; without any, it is finite and at least 0.
+
+    Attributes:
+        most: inclusive upper limit, which may bound memory and time.
+        is_above: whether 0 is excluded.
+        is_below: whether `most` is excluded.
+    """
+
+    most: float = math.inf
+    is_above: bool = False
+    is_below: bool = False
+
+    def check(self, name: str, value: float) -> None:
+        """Raise ConfigError for a number out of these limits."""
+        low = value > 0 if self.is_above else value >= 0
+        high = value < self.most if self.is_below else value <= self.most
+        if low and high and math.isfinite(value):
+            return
+        wanted = "above 0" if self.is_above else "at least 0"
+        if self.most < math.inf:
+            wanted += f" and {'below' if self.is_below else 'at most'} {self.most:g}"
+        raise ConfigError(f"{name}: {value!r} must be {wanted}")
 
 
-def check_at_most(most: float, **values: float) -> None:
-    """Raise ConfigError for a value above `most`, which bounds memory and time."""
-    for name, value in values.items():
-        if value > most:
-            raise ConfigError(f"{name}: {value!r} must be at most {most}")
+Positive = Annotated[Number, Limits(is_above=True)]
+Share = Annotated[float, Limits(most=1)]
+ShareBelowOne = Annotated[float, Limits(most=1, is_below=True)]
 
 
-def check_share(**values: float) -> None:
-    """Raise ConfigError for a value that is not between 0 and 1."""
-    for name, value in values.items():
-        if not 0 <= value <= 1:
-            raise ConfigError(f"{name}: {value!r} must be between 0 and 1")
+class Settings:
+    """Base of configuration dataclasses: checks numbers against the `Limits` of their fields."""
+
+    def __post_init__(self) -> None:
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            value = getattr(self, name)
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                limits = hint.__metadata__[0] if get_origin(hint) is Annotated else Limits()
+                limits.check(name, value)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunConfig:
+class RunConfig(Settings):
     """Settings that both systems share; each system adds its own and may change defaults."""
 
     noun = "iteration"
@@ -61,12 +78,12 @@ class RunConfig:
     """Manifest written by `gesturekit prepare`."""
     out: Path
     """Run folder."""
-    longer: float = 1.0
+    longer: Positive[float] = 1.0
     """Factor on the length of the training: 2 doubles the iterations of every stage (multires) or
     the updates (diffusion)."""
     seed: int = 0
     """Seed of initial weights, noise and batches; the same seed gives the same model."""
-    fps: float
+    fps: Positive[float]
     """Frame rate of the model; recordings are resampled to it."""
     joints: Literal["body", "all"] | tuple[str, ...] = "body"
     """Joints that are modelled: the body without fingers and end joints, all, or a list of joint
@@ -77,22 +94,22 @@ class RunConfig:
     parts: dict[str, str] = field(default_factory=dict)
     """Joints of body parts, such as {left_elbow: Joint12}, for rigs whose body parts cannot be
     identified by joint names and shape."""
-    in_memory: float = 60.0
+    in_memory: Positive[float] = 60.0
     """Minutes of recordings and unpaired speech up to which a corpus is held in memory. Of a longer
     one, training reads windows from arrays on disk, and statistics are those of a sample of this
     length, spread over speakers, styles and takes."""
     arrays: Path | None = None
     """Folder of the arrays of a long corpus, which runs share; null for CORPUS.arrays beside the
     manifest."""
-    workers: int = 1
+    workers: Positive[int] = 1
     """Processes that make arrays (`--workers`)."""
-    smooth: float | None = None
+    smooth: Annotated[float | None, Limits(MOST_SMOOTH, is_above=True)] = None
     """Smooth generated movements of the upper body that are shorter than this many seconds, except
     beats (`gesturekit.postprocess.smooth_motion`); null for none. Applied in generation, and stored
     with the model; it does not affect training."""
-    checkpoint_every: int
+    checkpoint_every: Positive[int]
     """Steps between checkpoints."""
-    log_every: int = 10
+    log_every: Positive[int] = 10
     """Steps between log lines."""
     eval_every: int = 0
     """Steps between cheap evaluations (`quick_metrics`) on the training recordings, written to
@@ -101,7 +118,7 @@ class RunConfig:
     """Evaluate the model on held-out recordings (`kind: held_out`), or on those of the training if
     none are held out: every few minutes without `eval_every`, and at the end, as
     `gesturekit evaluate` does it."""
-    threads: int | None = None
+    threads: Positive[int | None] = None
     """CPU threads; null leaves the choice to torch."""
     device: str = "auto"
     """cpu, cuda, cuda:1 ..., or auto, which uses a GPU if there is one."""
@@ -123,19 +140,9 @@ class RunConfig:
         return max(1, round(steps * self.longer))
 
     def __post_init__(self) -> None:
-        check_positive(
-            fps=self.fps, checkpoint_every=self.checkpoint_every, log_every=self.log_every
-        )
-        check_positive(longer=self.longer)
-        check_not_negative(eval_every=self.eval_every, seed=self.seed)
-        if self.smooth is not None:
-            check_positive(smooth=self.smooth)
-            check_at_most(MOST_SMOOTH, smooth=self.smooth)
+        super().__post_init__()
         for part, joint in self.parts.items():
             if part not in KNOWN_PARTS:
                 raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
             if not isinstance(joint, str):
                 raise ConfigError(f"parts.{part}: {joint!r} is not a joint name")
-        check_positive(in_memory=self.in_memory, workers=self.workers)
-        if self.threads is not None:
-            check_positive(threads=self.threads)

@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from gesturekit.diffusion import Denoiser, NetworkConfig, NoiseConfig
+from gesturekit.diffusion.experts import Expert, predicted_noise, product
 from gesturekit.diffusion.noise_schedule import (
     MAX_DEVIATION,
     NoiseSchedule,
     clip_denoised,
     sample,
 )
-from gesturekit.diffusion.sampling.experts import Expert, predicted_noise, product
 from gesturekit.errors import ModelError
 from gesturekit.training.seeds import rng_for, seeded
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.sampling.members import (
+from gesturekit.diffusion.members import (
     style_weights,
     weight_track,
     weights_over_time,

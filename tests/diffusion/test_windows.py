@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.sampling.sampler import tiles_of
+from gesturekit.diffusion.sampler import tiles_of
 from gesturekit.errors import ModelError
 
 

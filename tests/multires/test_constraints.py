@@ -16,19 +16,19 @@ from gesturekit.errors import ModelError
 from gesturekit.motion.root_path import RootPath, heading
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 from gesturekit.multires import MultiresRepresentation, Normaliser, resample
-from gesturekit.multires.motion_vector import fastest_second, turned, turned_plane
-from gesturekit.multires.sampling.constraints import (
+from gesturekit.multires.constraints import (
     InbetweenClips,
     InbetweenConstraint,
     PathConstraint,
 )
-from gesturekit.multires.sampling.keyframes import (
+from gesturekit.multires.keyframes import (
     KeyframeConstraint,
     ground_positions,
     keep_unedited,
     moved,
     root_through_keyframes,
 )
+from gesturekit.multires.motion_vector import fastest_second, turned, turned_plane
 
 FPS = 25.0
 HAND = "LeftHand"

@@ -10,7 +10,7 @@ import torch
 import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.multires import train
-from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence, ZStarPatches
+from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence, ZStarPatches
 from gesturekit.multires.training.data import PairedSequence
 
 

@@ -13,7 +13,7 @@ import gesturekit as gk
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 from gesturekit.motion.skeleton import GROUND
 from gesturekit.multires import MultiresGenerator
-from gesturekit.multires.sampling.trained_model import generated
+from gesturekit.multires.pyramid import generated
 from gesturekit.multires.stream import FootHold
 from gesturekit.multires.stream_window import (
     Forecast,

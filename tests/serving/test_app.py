@@ -126,7 +126,7 @@ def test_failures_of_the_machine_are_named_and_logged(
         raise error
 
     one = client()
-    monkeypatch.setattr(model, "generate", generate)
+    monkeypatch.setattr(type(model), "generate", generate)
     answer = one.post("/motion", content=wav())
     assert (answer.status_code, says in answer.json()["error"]) == (status, True)
     assert says != "log" or any(record.exc_info for record in caplog.records)
@@ -217,7 +217,9 @@ def test_a_model_that_a_sound_is_not_enough_for_is_not_served(inputs, says):
 def test_a_queue_that_is_full_says_so_at_once(client, model, monkeypatch):
     one, held = client(queue=0), threading.Event()
     generate = model.generate
-    monkeypatch.setattr(model, "generate", lambda *a, **k: (held.wait(10), generate(*a, **k))[1])
+    monkeypatch.setattr(
+        type(model), "generate", lambda _, *a, **k: (held.wait(10), generate(*a, **k))[1]
+    )
     answers = []
     first = threading.Thread(target=lambda: answers.append(one.post("/motion", content=wav())))
     first.start()

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from gesturekit.diffusion.conditions import Conditions
 from gesturekit.diffusion.config import DiffusionConfig
+from gesturekit.diffusion.model import read_fitted
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
-from gesturekit.diffusion.trained_model import learnt_tensors, read_learnt
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
@@ -25,7 +25,13 @@ from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray
 from gesturekit.training.data.features import stored_speech
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
-from gesturekit.training.model_folder import load_data, read_speakers, rig_values, save_data
+from gesturekit.training.model_folder import (
+    fitted_tensors,
+    load_data,
+    read_speakers,
+    rig_values,
+    save_data,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,8 +313,9 @@ class TrainingData:
 
     def save(self, folder: Path) -> None:
         """Write the data to a folder, for resuming the run."""
-        tensors = learnt_tensors(self.normaliser, self.conditions, self.state_process)
-        tensors |= start_tensors(self.start)
+        conditions = self.conditions
+        tensors = fitted_tensors(self.normaliser, conditions.conditioner, self.state_process)
+        tensors |= conditions.path_tensors() | start_tensors(self.start)
         in_memory = self.recordings if self.stored is None else ()
         for i, recording in enumerate(in_memory):
             tensors[f"recording.{i}.motion"] = torch.from_numpy(recording.motion[:])
@@ -321,7 +328,7 @@ class TrainingData:
             "seconds": list(self.seconds),
             "sources": to_values(self.sources),
             "recorded_fps": self.recorded_fps,
-            "conditions": self.conditions.to_values(),
+            "conditions": conditions.to_values(),
             "state": None if self.state_process is None else state_values(self.state_process),
             **rig_values(self.representation, self.speakers),
         }
@@ -339,8 +346,8 @@ class TrainingData:
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             values = {**about, **about["conditions"]}
-            learnt = read_learnt(values, tensors, config.fps, weights, device)
-            representation, process = learnt["representation"], learnt["state_process"]
+            fitted = read_fitted(values, tensors, config.fps, weights, device)
+            representation, process = fitted["representation"], fitted["state_process"]
             stored, sampled = about["stored"], None
             if stored is None:
                 recordings = tuple(
@@ -355,12 +362,12 @@ class TrainingData:
             else:
                 sampled = tuple((i, start, stop) for i, start, stop in about["sampled"])
                 width = representation.n_features
-                recordings = stored_sequences(stored, config, learnt["conditions"], width)
+                recordings = stored_sequences(stored, config, fitted["conditions"], width)
                 if process is not None:
                     recordings = tuple(with_state(r, process, representation) for r in recordings)
             paired, unpaired = about["seconds"]
             return cls(
-                **learnt,
+                **fitted,
                 recordings=recordings,
                 seconds=(paired, unpaired),
                 speakers=read_speakers(about),

@@ -20,22 +20,27 @@ from torch import Tensor
 import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.conditions import Conditions
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.retrieval import PassiveChannels
-from gesturekit.multires.sampling.conditions import Conditions
 from gesturekit.state.channels import StateChannels
 from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray, StoredFrames
 from gesturekit.training.data.features import (
-    conditioner_tensors,
     conditioner_values,
     load_conditioner,
     stored_speech,
 )
 from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
 from gesturekit.training.data.start_model import read_start, start_tensors
-from gesturekit.training.model_folder import load_data, read_speakers, rig_values, save_data
+from gesturekit.training.model_folder import (
+    fitted_tensors,
+    load_data,
+    read_speakers,
+    rig_values,
+    save_data,
+)
 from gesturekit.training.seeds import rng_for
 
 Cut = tuple[int, int, int]
@@ -301,9 +306,7 @@ class TrainingData:
         """Write the data into a folder, from which a resumed run loads it."""
         tensors: dict[str, Any] = {
             "silence": self.silence,
-            "motion.mean": self.normaliser.mean,
-            "motion.scale": self.normaliser.scale,
-            **conditioner_tensors(self.conditioner),
+            **fitted_tensors(self.normaliser, self.conditioner, None),
             **start_tensors(self.start),
         }
         unpaired = () if self.unpaired_is_paired else self.unpaired

@@ -16,13 +16,13 @@ from audio_features.acoustic.streaming import check_streams
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.speech import SpeechConditioner
-from gesturekit.errors import GestureKitError, ModelError
+from gesturekit.errors import ModelError
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import fastest_second
 from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence
 from gesturekit.multires.retrieval import RecordedLibrary
-from gesturekit.multires.sampling.trained_model import TrainedNoise, TrainedSequence
 from gesturekit.multires.stream_window import SpeechStream
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
@@ -118,16 +118,6 @@ def readme_rows(
     }
 
 
-def live_predictions_if_any(model: MultiresModel, corpus: Path) -> tuple[AheadPrediction, ...]:
-    """Return `live_predictions`, and none with a warning if they cannot be fitted."""
-    try:
-        return live_predictions(model, corpus)
-    except (GestureKitError, af.AudioFeaturesError) as error:
-        # A trained model is worth more than its use for live speech.
-        log.warning("The model cannot stream, without predictions for live speech: %s", error)
-        return ()
-
-
 def live_predictions(model: MultiresModel, corpus: Path) -> tuple[AheadPrediction, ...]:
     """Return predictions of movement for live speech; none for a model that cannot stream.
 
@@ -180,12 +170,6 @@ def live_predictions(model: MultiresModel, corpus: Path) -> tuple[AheadPredictio
     return tuple(predictions)
 
 
-def with_live(model: MultiresModel, ahead: tuple[AheadPrediction, ...]) -> MultiresModel:
-    """Return a model with these predictions for live speech."""
-    assert model.state_process is not None
-    return replace(model, state_process=replace(model.state_process, ahead=ahead))
-
-
 def fit_live(model: MultiresModel, corpus: Path) -> None:
     """Add predictions for live speech to the folder of a model, from the corpus of its training.
 
@@ -204,7 +188,10 @@ def fit_live(model: MultiresModel, corpus: Path) -> None:
     last = max((i for i, line in enumerate(kept) if line.startswith("- **")), default=-1)
     rows = [f"- **{name}**: {text}" for name, text in live_rows(ahead).items()]
     kept[last + 1 : last + 1] = rows
-    save_model(folder, *with_live(model, ahead).parts(), "\n".join(kept) + "\n")
+    assert model.state_process is not None
+    process = replace(model.state_process, ahead=ahead)
+    parts = replace(model, state_process=process).parts()
+    save_model(folder, *parts, "\n".join(kept) + "\n")
 
 
 def _movement(

@@ -14,11 +14,12 @@ import torch
 from torch import Tensor
 
 import audio_features as af
+from gesturekit.multires.conditions import style_levels
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.model import MultiresModel
+from gesturekit.multires.pyramid import generated
 from gesturekit.multires.retrieval import RecordedLibrary, RecordedMotion
-from gesturekit.multires.sampling.conditions import style_levels
-from gesturekit.multires.sampling.trained_model import TrainedModel, generated
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.state.process import RecordedState, StateProcess
 from gesturekit.training.seeds import rng_for
@@ -114,7 +115,7 @@ class TrainingState:
         start = int(torch.randint(int(starts[chosen]), (), generator=rng))
         return known[chosen][:, start : start + n_frames].copy()
 
-    def calibrated(self, model: TrainedModel) -> StateProcess:
+    def calibrated(self, model: MultiresModel) -> StateProcess:
         """Return the process for a trained model, see `StateProcess.calibrated`."""
         process = self.process
         for number in range(_CALIBRATIONS):
@@ -163,7 +164,7 @@ class TrainingState:
 
     @torch.no_grad()
     def _made(
-        self, model: TrainedModel, state: np.ndarray, speech: np.ndarray, style: int | None
+        self, model: MultiresModel, state: np.ndarray, speech: np.ndarray, style: int | None
     ) -> np.ndarray:
         """Return the channels (C, T) of a motion that is made of a condition (C + H + 4 H, T)."""
         lengths = af.level_lengths(state.shape[1], model.network_config.levels)

@@ -18,15 +18,15 @@ import torch
 from torch import Tensor, nn
 
 import audio_features as af
-from gesturekit.errors import ConfigError
+from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.multires.backend import choose_backend, requested_backend
+from gesturekit.multires.conditions import agreed_style
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.losses import LevelMotion, random_losses, reconstruction
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
 from gesturekit.multires.retrieval import RecordedLibrary
-from gesturekit.multires.sampling.conditions import agreed_style
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import (
     adapted,
@@ -35,12 +35,7 @@ from gesturekit.multires.training.loading import (
     warn_of_speech,
 )
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
-from gesturekit.multires.training.result import (
-    live_predictions_if_any,
-    readme_rows,
-    trained_model,
-    with_live,
-)
+from gesturekit.multires.training.result import live_predictions, readme_rows, trained_model
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import level_targets
 from gesturekit.multires.training.windows import Batches, Windows
@@ -232,14 +227,23 @@ class Trainer:
 
     def _save(self, name: str, model: MultiresModel, rows: dict[str, str]) -> None:
         """Write a model of the run, its state of movement as its network shows it."""
-        if self.state is not None:
+        if (process := model.state_process) is not None:
             if self._live is None:
-                self._live = live_predictions_if_any(model, self.config.corpus)
-            model = with_live(model, self._live)
+                self._live = self._live_predictions(model)
+            model = replace(model, state_process=replace(process, ahead=self._live))
         shortest = min(iterations for _, iterations in self.stages())
         rows = readme_rows(self.config, self.data, shortest, self.unused, rows)
         model.save(self.folder.folder / name, notes=rows)
         save_sources(self.folder.folder / name, self.data.sources)
+
+    def _live_predictions(self, model: MultiresModel) -> tuple[AheadPrediction, ...]:
+        """Return predictions for live speech, and none with a warning if they cannot be fitted."""
+        try:
+            return live_predictions(model, self.config.corpus)
+        except (GestureKitError, af.AudioFeaturesError) as error:
+            # A trained model is worth more than its use for live speech.
+            log.warning("The model cannot stream, without predictions for live speech: %s", error)
+            return ()
 
     def _calibrated(self, model: MultiresModel) -> MultiresModel:
         """Return a model with a state of movement that its network shows as it is drawn."""

@@ -18,11 +18,11 @@ import torch
 from torch import Tensor
 
 import audio_features as af
+from gesturekit.multires.conditions import mixed_styles
 from gesturekit.multires.config import MultiresConfig, TrainingConfig
 from gesturekit.multires.layers import Convolve, convolve_dense, resample
 from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.sampling.conditions import mixed_styles
-from gesturekit.multires.sampling.trained_model import RandomNoise, ZStarPatches
+from gesturekit.multires.pyramid import RandomNoise, ZStarPatches
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.training.seeds import rng_for

@@ -29,13 +29,13 @@ from gesturekit.corpus.speech import (
 )
 from gesturekit.progress import Progress
 from gesturekit.training.data.arrays import StoredArray, StoredFrames
-from gesturekit.training.run_config import check_positive
+from gesturekit.training.run_config import Positive, Settings
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class FeatureConfig:
+class FeatureConfig(Settings):
     """Speech features of a model."""
 
     extractors: tuple[dict, ...] = ({"kind": "logmel", "n_mels": 24}, {"kind": "prosody"})
@@ -54,7 +54,7 @@ class FeatureConfig:
     each clip to zero mean and comparable spread; `corpus` normalises features to zero mean and unit
     variance over all training speech; `none` does neither. Without `clip`, loudness changes the
     features of encoders; acoustic features normalise it themselves."""
-    components: int | None = None
+    components: Positive[int | None] = None
     """Number of principal components (fitted to the training speech) to which wide features are
     reduced; null for no reduction. Extractors with no more columns than this, and vocal effort, are
     not reduced: WavLM is, prosody is not. Minutes of motion are too few for the 768 columns of an
@@ -63,10 +63,6 @@ class FeatureConfig:
     """Voice activity detection: stretches of at least 3 s without voice (noise floor, hum, typing)
     are replaced by silence before features are extracted, here and in generation. By default it is
     on, except with features of music. Turn it off for whispered speech."""
-
-    def __post_init__(self) -> None:
-        if self.components is not None:
-            check_positive(components=self.components)
 
     @property
     def encoder_places(self) -> dict[str, Path]:

@@ -10,23 +10,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.experts import Expert, experts_of, predicted_noise, product
+from gesturekit.diffusion.members import Member, product_members
 from gesturekit.diffusion.noise_schedule import Predict, chosen_steps, clip_denoised, sample
-from gesturekit.diffusion.sampling.experts import Expert, experts_of, predicted_noise, product
-from gesturekit.diffusion.sampling.members import Member, product_members
-from gesturekit.diffusion.sampling.request import Request, check_events
-from gesturekit.diffusion.trained_model import TrainedModel
+from gesturekit.diffusion.request import Request, check_events
 from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
-from gesturekit.state.files import check_drawn
 from gesturekit.training.seeds import rng_for
+
+if TYPE_CHECKING:
+    from gesturekit.diffusion.model import DiffusionModel
 
 OVERLAP = 150
 """Least overlap of neighbouring tiles in frames, or a quarter of a tile if that is less. Tiles are
@@ -34,7 +36,9 @@ cross-faded over the middle third of the overlap; each outer third belongs to th
 is farther away."""
 
 
-def check_controls(model: TrainedModel, controls: DiffusionControls, samples: int) -> list[Member]:
+def check_controls(
+    model: DiffusionModel, controls: DiffusionControls, samples: int
+) -> list[Member]:
     """Check the controls that do not depend on the speech, and return the models of the product.
 
     Raises:
@@ -42,18 +46,12 @@ def check_controls(model: TrainedModel, controls: DiffusionControls, samples: in
             cannot be combined.
         FormatError: a table of events that cannot be read.
     """
-    speaker = controls["speaker"]
-    if speaker is not None and speaker not in model.speakers:
-        known = ", ".join(sorted(model.speakers)) or "its corpus named none"
-        raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
-    if samples < 1:
-        raise ModelError(f"samples={samples}: ask for at least 1")
+    model.check_common(controls, samples)
     if model.conditions.path:
         facing, in_place = controls["facing"], controls["in_place"]
         for name, value, unset in (("facing", facing, None), ("in_place", in_place, False)):
             if value != unset:
                 raise ModelError(f"{name}={value}: the model follows a path, which places the body")
-    check_drawn(controls, model.state_process)
     members = product_members(model, controls)
     if controls["events"] is not None:
         check_events(controls["events"], [member.model.conditions for member in members])

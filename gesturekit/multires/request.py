@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,15 +15,17 @@ from gesturekit.errors import ModelError
 from gesturekit.formats.tables import as_root_path
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
+from gesturekit.multires.conditions import level_range, requested_styles
+from gesturekit.multires.constraints import InbetweenClips
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.sampling.conditions import level_range, requested_styles
-from gesturekit.multires.sampling.constraints import InbetweenClips
-from gesturekit.multires.sampling.keyframes import fit_keyframes, full_frames
-from gesturekit.multires.sampling.trained_model import TrainedModel
+from gesturekit.multires.keyframes import fit_keyframes, full_frames
 from gesturekit.postprocess import Placement
-from gesturekit.state.files import check_drawn, given_state
+from gesturekit.state.files import given_state
 from gesturekit.training.data.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +67,7 @@ class Request:
 
     def __init__(
         self,
-        model: TrainedModel,
+        model: MultiresModel,
         controls: MultiresControls,
         speech: str | Path | af.Wave | None,
         seconds: float | None,
@@ -119,7 +122,7 @@ def _with_margins(features: np.ndarray, margin: int) -> np.ndarray:
 
 
 def _given_state(
-    model: TrainedModel, controls: MultiresControls, start: Motion | None, n_frames: int
+    model: MultiresModel, controls: MultiresControls, start: Motion | None, n_frames: int
 ) -> np.ndarray | None:
     """Return the state (T, C) that is given, or that of a motion to redo; None to draw it."""
     state = controls["state"]
@@ -131,7 +134,7 @@ def _given_state(
 
 
 def _level_speech(
-    model: TrainedModel, controls: MultiresControls, n_frames: int, margin: int
+    model: MultiresModel, controls: MultiresControls, n_frames: int, margin: int
 ) -> tuple[tuple[range, np.ndarray], ...]:
     """Return `Request.level_speech`: the end of each speech is cut off, or silence follows it."""
     made, conditioner = [], model.conditions.conditioner
@@ -167,7 +170,7 @@ def _warn_of_held_pose(like: Motion, seconds: float) -> None:
         )
 
 
-def check_controls(model: TrainedModel, controls: MultiresControls, samples: int) -> None:
+def check_controls(model: MultiresModel, controls: MultiresControls, samples: int) -> None:
     """Check the controls that do not depend on the speech, and the number of motions.
 
     Raises:
@@ -184,17 +187,11 @@ def check_controls(model: TrainedModel, controls: MultiresControls, samples: int
                 raise ModelError(f"{name}={value!r}: this multires model has no {name}")
     if _level_speech_ranges(controls, levels) and model.conditions.conditioner is None:
         raise ModelError("level_speech: this model takes no speech")
-    speaker = controls["speaker"]
-    if speaker is not None and speaker not in model.speakers:
-        known = ", ".join(sorted(model.speakers)) or "its corpus named none"
-        raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
-    if samples < 1:
-        raise ModelError(f"samples={samples}: ask for at least 1")
+    model.check_common(controls, samples)
     for which in ("levels", "keyframe_level"):
         level = controls[which]
         if level is not None and not 1 <= level <= levels:
             raise ModelError(f"{which}={level}: the model has levels 1 (coarse) to {levels}")
-    check_drawn(controls, model.state_process)
     of_levels = [name for name, value in controls.items() if name in _OF_LEVELS and value]
     if model.retrieves and of_levels:
         raise ModelError(f"{of_levels[0]}: this model plays recordings, without a network's levels")

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -21,10 +22,9 @@ from gesturekit.diffusion.conditions import (
     wants_beats,
 )
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.members import Member
 from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, last_step_with_signal
-from gesturekit.diffusion.sampling.members import Member
-from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables import as_root_path
 from gesturekit.motion.contacts import floor_height
@@ -33,6 +33,9 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.postprocess import Placement
 from gesturekit.state.files import given_state
 from gesturekit.training.data.own_rig import on_rig, pose_on_rig
+
+if TYPE_CHECKING:
+    from gesturekit.diffusion.model import DiffusionModel
 
 
 class Request:
@@ -131,7 +134,7 @@ def _conditioners(
 ) -> list[SpeechConditioner]:
     """Return the conditioners of all models with speech input, each once."""
     models = [*(member.model for member in members), controls["unconditional"]]
-    conditioners = (m.conditions.conditioner for m in models if isinstance(m, TrainedModel))
+    conditioners = (m.conditions.conditioner for m in models if m is not None)
     return [known for known in dict.fromkeys(conditioners) if known is not None]
 
 
@@ -154,7 +157,9 @@ def _known_state(
     return measured_state(vectors, model.representation, process.channels, process.fps)
 
 
-def _followed(model: TrainedModel, path: str | Path | RootPath | Motion | None) -> RootPath | None:
+def _followed(
+    model: DiffusionModel, path: str | Path | RootPath | Motion | None
+) -> RootPath | None:
     """Return the path that the root follows, or None for a model that moves the root itself.
 
     Raises:
@@ -209,7 +214,7 @@ class SDEditStart:
         FormatError: a file that cannot be read.
     """
 
-    def __init__(self, model: TrainedModel, like: str | Path | Motion) -> None:
+    def __init__(self, model: DiffusionModel, like: str | Path | Motion) -> None:
         given = like if isinstance(like, Motion) else Motion.load(like)
         motion = on_rig(model.representation, given)
         self.model, self.motion, self.lift = model, motion.resample(model.fps), 0.0
@@ -238,7 +243,7 @@ class SDEditStart:
         return clean, int((level - wanted).abs().argmin())
 
 
-def _floor_of_model(model: TrainedModel) -> float:
+def _floor_of_model(model: DiffusionModel) -> float:
     """Return the height of the lowest joint in the rig's mean pose, in metres."""
     rig = model.representation
     height = float(model.normaliser.mean[rig.height_column]) * rig.scale

@@ -21,6 +21,7 @@ from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath, heading, headings, side_axis
 from gesturekit.motion.rotations import quaternion_from_sixd, slerp
+from gesturekit.multires.keyframes import ground_positions, moved
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import (
     MultiresRepresentation,
@@ -29,7 +30,6 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
-from gesturekit.multires.sampling.keyframes import ground_positions, moved
 from gesturekit.training.data.own_rig import on_rig
 
 _SWAY = 0.03

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,11 +13,9 @@ from torch import Tensor
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import slerp
-from gesturekit.multires.motion_vector import fastest_second
-from gesturekit.multires.retrieval import PieceSequence, played_pieces
-from gesturekit.multires.sampling.conditions import requested_styles
-from gesturekit.multires.sampling.constraints import InbetweenConstraint, PathConstraint
-from gesturekit.multires.sampling.keyframes import (
+from gesturekit.multires.conditions import requested_styles
+from gesturekit.multires.constraints import InbetweenConstraint, PathConstraint
+from gesturekit.multires.keyframes import (
     KeyframeConstraint,
     keep_unedited,
     level_motion,
@@ -24,10 +23,16 @@ from gesturekit.multires.sampling.keyframes import (
     moved,
     root_through_keyframes,
 )
-from gesturekit.multires.sampling.request import Request
-from gesturekit.multires.sampling.trained_model import Pyramid, TrainedModel
+from gesturekit.multires.motion_vector import fastest_second
+from gesturekit.multires.pyramid import Pyramid
+from gesturekit.multires.request import Request
+from gesturekit.multires.retrieval import PieceSequence, played_passive, played_pieces
 from gesturekit.postprocess import lock_feet, smooth_motion
+from gesturekit.state.files import mood_seed
 from gesturekit.training.seeds import rng_for
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 _TOO_FAST = 1.25
 """A speed this many times the fastest second in training is worth a warning ..."""
@@ -45,7 +50,7 @@ class Sampler:
         request: the request.
     """
 
-    def __init__(self, model: TrainedModel, request: Request) -> None:
+    def __init__(self, model: MultiresModel, request: Request) -> None:
         self.model, self.request = model, request
         self.noise = model.noise.random(model.styles)
         representation, lengths, margin = model.representation, request.lengths, request.margin
@@ -69,8 +74,8 @@ class Sampler:
             return rng_for(seed, item, "sample", number, *purpose)
 
         styles = self._styles(rng_of("style"))
-        mood_seed = seed if request.controls["mood_seed"] is None else request.controls["mood_seed"]
-        channels = self._channels(rng_for(mood_seed, item, "sample", number, "mood"), styles)
+        mood = rng_for(mood_seed(seed, request.controls), item, "sample", number, "mood")
+        channels = self._channels(mood, styles)
         state = None
         if channels is not None and model.state_process is not None:
             carriers = rng_of("carriers").initial_seed() >> 1
@@ -87,22 +92,37 @@ class Sampler:
             state,
         )
         played = self._played(channels, rng_of, styles)
-        if request.start is not None:
-            motion = self._from_level(pyramid)
-        elif request.clips is not None:
-            motion = self._between_clips(pyramid)
-        elif request.path is not None:
-            motion = self._along_path(pyramid)
-        elif request.is_coarse:
-            values = self._cropped(pyramid.random(levels=request.controls["levels"]))
-            motion = level_motion(model.representation, values, model.fps, request.n_frames)
-        else:
-            output = self._retrieved(played) if model.retrieves else pyramid.random()
-            values = self._cropped(output)
-            motion = self._locked(self._smoothed(self._decoded(values)), values)
-        if not request.is_coarse:
-            motion = self._with_passive(motion, played)
+        motion = self._generated(pyramid, played)
+        if played is not None and model.library is not None:
+            motion = played_passive(model.library, played, motion, request.margin)
         return motion if request.clips is None else request.clips.restored(motion)
+
+    def _generated(self, pyramid: Pyramid, played: PieceSequence | None) -> Motion:
+        """Generate the motion of the modelled joints, as the request's constraints say."""
+        request, model = self.request, self.model
+        if request.start is not None:
+            return self._from_level(pyramid)
+        if request.is_coarse:
+            values = pyramid.random(levels=request.controls["levels"])
+            return level_motion(model.representation, values, model.fps, request.n_frames)
+        if request.clips is not None:
+            values = self._cropped(pyramid.random(constraint=self.between))
+            given = request.clips.given(request.n_frames)
+            motion = self._smoothed(request.clips.placed(values))
+            return self._locked(motion, values, given, keep_path=True)
+        if self.path is not None and request.path is not None:
+            values = self._cropped(self.path.placed(pyramid.random(constraint=self.path)))
+            start = request.path.positions[0]
+            motion = moved(model.representation, self._decoded(values), start)
+            return self._locked(self._smoothed(motion), values, keep_path=True)
+        if model.retrieves and played is not None:
+            vectors = played.values(np.arange(request.lengths[-1]))
+            motion_vectors = vectors[:, : model.representation.n_features]
+            values = model.normaliser.to_values(torch.from_numpy(motion_vectors.T[None]))
+        else:
+            values = pyramid.random()
+        values = self._cropped(values)
+        return self._locked(self._smoothed(self._decoded(values)), values)
 
     def _warn_of_speed(self, what: str, speed: float) -> None:
         fastest, stroll = self.model.fastest, _STROLL * self.model.representation.scale
@@ -157,42 +177,6 @@ class Sampler:
             self.request.controls["speaker"],
             styles[-1][0].argmax(dim=0).numpy() if styles else None,
         )
-
-    def _retrieved(self, played: PieceSequence | None) -> np.ndarray:
-        """Return the motion vectors (T + 2 margin, D) of recordings."""
-        assert played is not None
-        n_features = self.model.representation.n_features
-        vectors = played.values(np.arange(self.request.lengths[-1]))[:, :n_features]
-        return self.model.normaliser.to_values(torch.from_numpy(vectors.T[None]))
-
-    def _with_passive(self, motion: Motion, played: PieceSequence | None) -> Motion:
-        """Return the motion with the fingers and the face of recordings, if any."""
-        library = self.model.library
-        if played is None or library is None or library.passive.is_empty:
-            return motion
-        n_motion, margin = len(library.recordings[0].motion), self.request.margin
-
-        def values(frames: slice) -> Tensor:
-            shown = np.arange(frames.start, frames.stop) + margin
-            return torch.from_numpy(played.values(shown)[:, n_motion:].T)
-
-        return library.passive.applied(motion, values)
-
-    def _along_path(self, pyramid: Pyramid) -> Motion:
-        """Generate a motion whose root follows the path."""
-        path = self.request.path
-        assert self.path is not None and path is not None
-        values = self._cropped(self.path.placed(pyramid.random(constraint=self.path)))
-        motion = moved(self.model.representation, self._decoded(values), path.positions[0])
-        return self._locked(self._smoothed(motion), values, keep_path=True)
-
-    def _between_clips(self, pyramid: Pyramid) -> Motion:
-        """Generate the motion before, between and after the given clips."""
-        clips = self.request.clips
-        assert clips is not None
-        values = self._cropped(pyramid.random(constraint=self.between))
-        given = clips.given(self.request.n_frames)
-        return self._locked(self._smoothed(clips.placed(values)), values, given, keep_path=True)
 
     def _from_level(self, pyramid: Pyramid) -> Motion:
         """Generate the levels above keyframes, or above a motion to redo (`like`)."""

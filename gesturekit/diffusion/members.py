@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.speech import style_number, style_track
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.trained_model import TrainedModel
 from gesturekit.errors import ModelError
+
+if TYPE_CHECKING:
+    from gesturekit.diffusion.model import DiffusionModel
 
 SUM_TOLERANCE = 1e-5
 """Largest rounding error of the sum of the weights."""
@@ -33,12 +35,12 @@ ExpertWeight = float | np.ndarray | str | None
 class Member(NamedTuple):
     """A model of a product, with its weight, and its style; None for a random style."""
 
-    model: TrainedModel
+    model: DiffusionModel
     weight: ExpertWeight
     style: str | None
 
 
-def product_members(first: TrainedModel, controls: DiffusionControls) -> list[Member]:
+def product_members(first: DiffusionModel, controls: DiffusionControls) -> list[Member]:
     """Collect and check the models of a request, without the unconditional one.
 
     An expert without a style gets the style of the first model if it has that style, and a
@@ -68,7 +70,7 @@ def product_members(first: TrainedModel, controls: DiffusionControls) -> list[Me
     return members
 
 
-def _knows(model: TrainedModel, style: str | None) -> bool:
+def _knows(model: DiffusionModel, style: str | None) -> bool:
     if style is None or not model.styles:
         return False
     try:
@@ -78,7 +80,7 @@ def _knows(model: TrainedModel, style: str | None) -> bool:
     return True
 
 
-def _check_guidance(first: TrainedModel, controls: DiffusionControls) -> None:
+def _check_guidance(first: DiffusionModel, controls: DiffusionControls) -> None:
     guidance, unconditional = controls["guidance"], controls["unconditional"]
     if (gamma := controls["state_guidance"]) is not None and "state" not in first.droppable:
         raise ModelError(
@@ -104,14 +106,14 @@ def _check_guidance(first: TrainedModel, controls: DiffusionControls) -> None:
             )
 
 
-def _compatible(first: TrainedModel, other: Any, who: str) -> TrainedModel:
+def _compatible(first: DiffusionModel, other: Any, who: str) -> DiffusionModel:
     """Return the other model; raise ModelError if the two cannot be combined."""
     if reason := next(_differences(first, other), None):
         raise ModelError(f"{who}: {reason}")
     return other
 
 
-def _differences(first: TrainedModel, other: Any) -> Iterator[str]:
+def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
     """Yield reasons for which the motion vectors or noise of two models differ in meaning."""
     kind = getattr(other, "kind", type(other).__name__)
     if kind != first.kind:
@@ -124,28 +126,30 @@ def _differences(first: TrainedModel, other: Any) -> Iterator[str]:
     if different := first_difference(other.skeleton, first.skeleton):
         yield f"another rig: {different}"
     if theirs.joints != ours.joints:
-        yield (
-            f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model; "
-            "experts of a product need the same joints"
-        )
+        yield f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model"
     if theirs.makes_root != ours.makes_root:
         yield "only one of the two follows a path"
-    advice = "train one with moves_like: the other, so that both use the same motion vectors"
-    if not math.isclose(theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE):
-        yield f"its lengths are relative to another body size; {advice}"
-    pairs = (theirs.references, ours.references), (theirs.side, ours.side)
-    if not all(np.allclose(*pair, atol=1e-6) for pair in pairs):
-        yield f"its rotations are relative to other mean rotations; {advice}"
     ratio = other.normaliser.scale / first.normaliser.scale
     worst = float(ratio[(ratio.log().abs()).argmax()])
-    if not abs(worst - 1) <= _SCALE_TOLERANCE:
-        yield f"its motion has another scale (by up to a factor of {worst:.3g}); {advice}"
-    betas = [
+    places = (theirs.references, ours.references), (theirs.side, ours.side)
+    same = {
+        "lengths are relative to another body size": math.isclose(
+            theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE
+        ),
+        "rotations are relative to other mean rotations": all(
+            np.allclose(*pair, atol=1e-6) for pair in places
+        ),
+        f"motion has another scale (by up to a factor of {worst:.3g})": abs(worst - 1)
+        <= _SCALE_TOLERANCE,
+    }
+    for reason in (text for text, is_same in same.items() if not is_same):
+        yield f"its {reason}; train one with moves_like: the other, to share motion vectors"
+    noises = [
         f"{noise.steps} steps, beta {noise.first_beta:g} to {noise.last_beta:g}"
         for noise in (first.noise_config, other.noise_config)
     ]
-    if betas[0] != betas[1]:
-        yield f"its noise schedule has {betas[1]}, that of this model {betas[0]}"
+    if noises[0] != noises[1]:
+        yield f"its noise schedule has {noises[1]}, that of this model {noises[0]}"
 
 
 _TERM = re.compile(
@@ -262,23 +266,17 @@ def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) 
     Raises:
         ModelError: a text that cannot be read, or weights that do not fit the frames.
     """
-    read = [weight_track(w, n_frames, fps) if isinstance(w, str) else w for w in given]
-    weights = [None if weight is None else checked_weight(weight, n_frames) for weight in read]
+    weights: list[np.ndarray | None] = []
+    for weight in given:
+        if isinstance(weight, str):
+            weight = weight_track(weight, n_frames, fps)
+        values = None if weight is None else np.atleast_1d(np.asarray(weight, dtype=np.float64))
+        if values is not None and values.shape not in ((1,), (n_frames,)):
+            raise ModelError(
+                f"weights of an expert have shape {values.shape}; expected a number or "
+                f"({n_frames},), one for each frame"
+            )
+        weights.append(values)
     rest = np.ones(1) - sum(weight for weight in weights if weight is not None)
     shares = sum(weight is None for weight in weights)
     return [rest / shares if weight is None else weight for weight in weights]
-
-
-def checked_weight(weight: float | np.ndarray, n_frames: int) -> np.ndarray:
-    """Return the weight of one expert as float64 (1,) or (T,), for T frames.
-
-    Raises:
-        ModelError: the weight has another shape.
-    """
-    values = np.atleast_1d(np.asarray(weight, dtype=np.float64))
-    if values.shape not in ((1,), (n_frames,)):
-        raise ModelError(
-            f"weights of an expert have shape {values.shape}; expected a number or ({n_frames},), "
-            "one for each frame"
-        )
-    return values

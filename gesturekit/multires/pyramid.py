@@ -1,4 +1,4 @@
-"""Trained multires model: one value, which goes whole to the sampler, its noise and its levels.
+"""Noise of a trained multires model, and the levels of its pyramid, sampled in tiles.
 
 Noise is Gaussian, or shuffled patches of the training recordings' z*. A recording is reconstructed
 from its z* alone. Fresh noise need not cover all that the network can reconstruct, and short
@@ -13,28 +13,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.errors import ModelError, gesturekit_errors
-from gesturekit.model import BaseModel, Inputs
-from gesturekit.motion.motion import Motion
+from gesturekit.errors import ModelError
 from gesturekit.multires.backend import choose_backend
-from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.conditions import LevelConditions
 from gesturekit.multires.layers import resample, resample_part
-from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
-from gesturekit.multires.retrieval import RecordedLibrary
-from gesturekit.multires.sampling.conditions import Conditions, LevelConditions
 from gesturekit.state.channels import CARRIERS
-from gesturekit.state.live import AheadPrediction
-from gesturekit.state.process import StateProcess
-from gesturekit.training.data.own_rig import on_rig
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 
 class ZStarPatches:
@@ -138,28 +131,14 @@ class RandomNoise:
     def clocked(
         self, state: np.ndarray, n_carriers: int, lengths: Sequence[int]
     ) -> list[Tensor | None]:
-        """Return the noise of states (B, C, T) for levels of these lengths, see `clocked_noise`.
+        """Return noise in the time of the hands' movement for states (B, C, T).
 
-        Finer levels than the first get none.
+        That of level 1 is the mean of the hands' first carriers, the last `n_carriers` channels;
+        white noise would move the body where the state says that it rests. Finer levels get none.
         """
-        first = clocked_noise(state, n_carriers, lengths[0], self.sigma[0])
+        mixed = mixed_carriers(torch.from_numpy(state[:, state.shape[1] - n_carriers :]))
+        first = self.sigma[0] * resample(mixed, lengths[0])
         return [first, *[None] * (len(lengths) - 1)]
-
-
-def clocked_noise(state: np.ndarray, n_carriers: int, n_frames: int, sigma: Tensor) -> Tensor:
-    """Return the noise (B, 1, n_frames) of level 1 in the time of the hands' movement.
-
-    It is the mean of the hands' first carriers, with the standard deviation `sigma`. White noise
-    would move the body where the state says that it rests.
-
-    Args:
-        state: (B, C, T), see `StateProcess.condition`.
-        n_carriers: its last channels.
-        n_frames: frames of level 1.
-        sigma: () of level 1.
-    """
-    mixed = mixed_carriers(torch.from_numpy(state[:, state.shape[1] - n_carriers :]))
-    return sigma * resample(mixed, n_frames)
 
 
 def mixed_carriers(carriers: Tensor) -> Tensor:
@@ -211,74 +190,6 @@ class TrainedNoise:
         return RandomNoise(self.sigma.mean(dim=0), self.noise_levels, patches)
 
 
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class TrainedModel(BaseModel):
-    """A trained model, as its folder stores it; `MultiresModel` adds generation.
-
-    Attributes:
-        normaliser: mean and scale of motion vectors.
-        network_config: architecture of the pyramid.
-        network: the generators.
-        noise: the model's noise.
-        library: recorded motion that is played; None without.
-        state_process: from which the state of movement is drawn; None for a model without it.
-        fastest: ground speed in the fastest second of the training motion, m/s.
-    """
-
-    kind: ClassVar[str] = "multires"
-
-    representation: MultiresRepresentation
-    normaliser: Normaliser
-    conditions: Conditions
-    network_config: NetworkConfig
-    network: MultiresGenerator
-    noise: TrainedNoise
-    library: RecordedLibrary | None
-    state_process: StateProcess | None
-    fastest: float
-
-    @property
-    def retrieves(self) -> bool:
-        """True for a model that plays whole bodies, without its network."""
-        return self.library is not None and self.library.is_whole
-
-    @torch.no_grad()
-    @gesturekit_errors()
-    def state(self, motion: str | Path | Motion) -> np.ndarray:
-        """Measure the state of movement of a motion: what `generate` takes as `state`.
-
-        Args:
-            motion: a motion or its file; one on another rig is retargeted.
-
-        Returns:
-            (T, C) at the model's frame rate; `state_process.channels.names` names the channels.
-
-        Raises:
-            ModelError: a model without a state of movement, or a rig that cannot be retargeted.
-            FormatError: the file cannot be read.
-        """
-        if self.state_process is None:
-            raise ModelError("state: this model was trained without the state of movement")
-        motion = motion if isinstance(motion, Motion) else Motion.load(motion)
-        motion = on_rig(self.representation, motion.resample(self.fps))
-        values = torch.from_numpy(self.representation.encode(motion).T[None]).float()
-        places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
-        return self.state_process.channels(places, self.fps)[0].T.double().numpy()
-
-    @property
-    def ahead(self) -> tuple[AheadPrediction, ...]:
-        """Predictions for live speech; empty for a model that cannot stream."""
-        return () if self.state_process is None else self.state_process.ahead
-
-    @property
-    def inputs(self) -> Inputs:
-        """Inputs besides style and speaker."""
-        speech = self.conditions.conditioner
-        if speech is None:
-            return Inputs()
-        return Inputs(speech=True, words=speech.takes_words, files=speech.files)
-
-
 TILE = 2048
 """Frames of a tile, which need about 50 MB; the halo of 16 frames is a small part of it."""
 
@@ -303,7 +214,7 @@ class Pyramid:
             draw noise.
     """
 
-    model: TrainedModel
+    model: MultiresModel
     lengths: Sequence[int]
     condition: LevelConditions | None
     noise: RandomNoise
@@ -360,7 +271,7 @@ class Pyramid:
 
 
 def generated(
-    model: TrainedModel,
+    model: MultiresModel,
     noises: Sequence[Tensor | None],
     lengths: Sequence[int],
     condition: LevelConditions | None,

@@ -18,23 +18,27 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.diffusion.network import Denoiser
-from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
-from gesturekit.diffusion.sampling.members import (
+from gesturekit.diffusion.members import (
     SUM_TOLERANCE,
     Member,
     style_weights,
     weights_over_time,
 )
-from gesturekit.diffusion.sampling.request import Request
-from gesturekit.diffusion.trained_model import TrainedModel
+from gesturekit.diffusion.network import Denoiser
+from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
+from gesturekit.diffusion.request import Request
 from gesturekit.errors import ModelError
+from gesturekit.state.files import mood_seed
 from gesturekit.training.seeds import rng_for
+
+if TYPE_CHECKING:
+    from gesturekit.diffusion.model import DiffusionModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +171,7 @@ def _guidance(
     added: list[Expert] = []
     if (gamma := request.controls["guidance"]) is not None:
         unconditional = request.controls["unconditional"]
-        model = unconditional if isinstance(unconditional, TrainedModel) else request.model
+        model = request.model if unconditional is None else unconditional
         condition = request.condition(model.conditions)
         if unconditional is None and not ("styles" in model.droppable and model.styles):
             condition = model.conditions.without(condition)
@@ -181,7 +185,7 @@ def _guidance(
 
 
 def _expert(
-    request: Request, model: TrainedModel, condition: np.ndarray, weight: np.ndarray
+    request: Request, model: DiffusionModel, condition: np.ndarray, weight: np.ndarray
 ) -> Expert:
     """Return a model with a condition (B, T, C) as an expert beside the model of the request."""
     first, shift = request.model, None
@@ -217,7 +221,7 @@ def _styled(member: Member, request: Request, numbers: Sequence[int]) -> list[Ex
     return experts
 
 
-def _random_style(model: TrainedModel, request: Request, number: int) -> int:
+def _random_style(model: DiffusionModel, request: Request, number: int) -> int:
     """Return the random style of the sample with this number."""
     rng = rng_for(request.seed, request.item, "sample", number, "style")
     return int(torch.randint(len(model.styles), (), generator=rng))
@@ -239,24 +243,26 @@ def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None
         weights = style_weights(model.styles, name, request.n_frames, request.fps)
         style = int(weights.sum(axis=0).argmax())
     speech = request.condition(model.conditions)[:, model.conditions.columns["speech"]].T
-    seed = request.seed if controls["mood_seed"] is None else int(controls["mood_seed"])
+    seed = mood_seed(request.seed, controls)
     states = []
     for number in numbers:
-        own_style = style
+        drawn_style = style
         if style is None and model.styles:
-            own_style = _random_style(model, request, number)
+            drawn_style = _random_style(model, request, number)
         states.append(
             process.draw(
                 rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1,
                 speech,
-                (controls["speaker"], own_style),
+                (controls["speaker"], drawn_style),
                 liveliness=controls["liveliness"],
             )
         )
     return states
 
 
-def _with_state(expert: Expert, model: TrainedModel, states: Sequence[np.ndarray] | None) -> Expert:
+def _with_state(
+    expert: Expert, model: DiffusionModel, states: Sequence[np.ndarray] | None
+) -> Expert:
     """Return the expert of a model with the state of movement (C, T) of each sample."""
     if states is None:
         return expert

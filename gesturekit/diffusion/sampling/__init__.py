@@ -1,1 +1,0 @@
-"""Generate motion with a trained denoiser."""
