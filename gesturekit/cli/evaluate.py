@@ -240,6 +240,7 @@ def command(
         # Before hours of measuring.
         shared_systems([*folders, *comma_separated(options["baseline"])], ratings)
     found = _evaluated(folders, recordings, options)
+    found.settings["baselines"] = comma_separated(options["baseline"])  # as given, all of them
     if ratings is not None:
         found.agreement = agreement(found.models, ratings, options["seed"])
     _mark_trained(found, names)

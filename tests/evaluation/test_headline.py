@@ -13,6 +13,7 @@ from gesturekit.evaluation import (
     ItemInterval,
     Level,
     MetricResult,
+    ModelResult,
     Pair,
     answers,
     likeness_by_group,
@@ -21,6 +22,7 @@ from gesturekit.evaluation import (
 )
 from gesturekit.evaluation.statistics.groups import groups_of
 from gesturekit.evaluation.statistics.likeness import credits, likeness
+from gesturekit.evaluation.statistics.questions import same_verdicts
 
 OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
 
@@ -224,3 +226,21 @@ def test_the_verdict_names_what_differs_from_the_recordings(metrics, said):
     words = set(re.findall(r"\w+", verdict(metrics).lower()))
     assert set(said.split()) <= words and words & set(telling.split()) <= set(said.split())
     assert said or not words
+
+
+def test_models_with_one_verdict_are_told_apart_where_intervals_do_not_overlap():
+    def model(label: str, verdict: str, **speeds: tuple[float, float]) -> ModelResult:
+        metrics = {
+            key: MetricResult(key, Interval(sum(ends) / 2, *ends, 3, 3, "takes"))
+            for key, ends in speeds.items()
+        }
+        return ModelResult(label, Path(label), verdict, metrics=metrics)
+
+    a = model("a", "Same.", wrist_speed=(0.1, 0.2), jerk=(1.0, 3.0))
+    b = model("b", "Same.", wrist_speed=(0.3, 0.4), jerk=(2.0, 4.0))
+    other = model("c", "Other.", wrist_speed=(0.8, 0.9))
+    (sentence,) = same_verdicts([a, b, other])
+    assert re.search(r"\ba, b\b.*Wrist speed.*0\.15 to 0\.35", sentence)
+    assert "Jerk" not in sentence
+    (sentence,) = same_verdicts([a, replace(b, metrics=a.metrics)])
+    assert "no metric" in sentence

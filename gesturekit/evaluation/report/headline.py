@@ -14,14 +14,12 @@ from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.viewer.pages import section
 
 _LEAD = (
-    "Each has one figure with its 95 % interval over takes (recording sessions), which holds for "
-    "other takes of the same speakers, not for other speakers. On the line, the dot is the model. "
-    "Grey marks are floors, the values of motion that should fail: another speaker, the mean pose, "
-    "motion with other speech. The green mark is the ceiling, the value of the speaker's own "
-    "recordings. Bands are one standard deviation between takes, or between pieces of the only "
-    "take, to either side. Without a dot the question cannot be answered on this corpus: a floor "
-    "is too near to the ceiling, or there is too little data. Bold: nearer to the recordings than "
-    "every other model by more than chance."
+    "Each answer rests on one figure. On its line, the dot is the model; the green mark is the "
+    "ceiling, the value of the speaker's own recordings; grey marks are floors, the values of "
+    "motion that should fail. Bands are one standard deviation between takes (recording sessions) "
+    "to either side. Without a dot, the question cannot be answered on this corpus. The 95 % "
+    "interval holds for other takes of the same speakers, not for other speakers. Bold: nearer to "
+    "the recordings than every other model by more than chance."
 )
 
 _WIDTH, _HEIGHT, _MARGIN = 260, 30, 6  # pixels of the line of a score
@@ -44,7 +42,7 @@ def headline(evaluation: Evaluation, rows: Mapping[str, Contest]) -> str:
     models = [model for model in evaluation.models if model.answers]
     if not models:
         return ""
-    head = "".join(f"<th>{html.escape(answer.question)}</th>" for answer in models[0].answers)
+    head = "".join(_column_head(answer, models) for answer in models[0].answers)
     body = "".join(
         f"<tr><th>{dotted(evaluation.models.index(model), model.heading)}</th>"
         + "".join(_cell(model, answer, models, rows) for answer in model.answers)
@@ -75,6 +73,12 @@ def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
         yield text if len(said) == 1 else f"{', '.join(labels)}: {text}"
 
 
+def _column_head(answer: Finding, models: Sequence[ModelResult]) -> str:
+    """Return the heading of a question, with the floors and the ceiling that all models share."""
+    results = [m.metrics[answer.key] for m in models if answer.key in m.metrics]
+    return f"<th>{html.escape(answer.question)}{_legend(results[0]) if results else ''}</th>"
+
+
 def _cell(
     model: ModelResult,
     answer: Finding,
@@ -86,12 +90,16 @@ def _cell(
         return f"<td>{sentence}</td>"
     column = [m.metrics[answer.key] for m in models if answer.key in m.metrics]
     line = _scale(result, column, colour(models.index(model)))
+    if _levels(result) != _levels(column[0]):
+        line += _legend(result)
     if not result.informative:
         return f"<td>{sentence}{line}</td>"
     row = rows.get(answer.key)
     best = " class=best" if row is not None and row.best == model.label else ""
     value = f'<span class="figure"><span{best}>{number(result.interval.value)}</span></span>'
-    return f"<td>{value}<small>{_spread(result)}</small>{line}{sentence}</td>"
+    bare = all(one.interval.low is None for one in column)
+    spread = "" if bare else f" <small>{_spread(result)}</small>"
+    return f"<td>{sentence}{value}{spread}{line}</td>"
 
 
 def _shown(model: ModelResult, answer: Finding) -> MetricResult | None:
@@ -118,7 +126,7 @@ def _levels(result: MetricResult) -> list[Level]:
 
 
 def _scale(result: MetricResult, column: Sequence[MetricResult], ink: str) -> str:
-    """Return the line of a score as SVG, with a legend; "" without levels.
+    """Return the line of a score as SVG; "" without levels.
 
     Bands are as wide as the spread over takes. An uninformative score is not drawn.
 
@@ -150,13 +158,17 @@ def _scale(result: MetricResult, column: Sequence[MetricResult], ink: str) -> st
         )
     dot = f'cy="15" r="5" style="fill:{ink}"'
     parts += [f'<circle cx="{place(value):.1f}" {dot}/>' for value in score]
-    picture = f'<svg class="scale" viewBox="0 0 {_WIDTH} {_HEIGHT}">{"".join(parts)}</svg>'
-    legend = "".join(
-        f'<small class="{kind}">{kind}: {html.escape("; ".join(map(_level_line, some)))}</small>'
-        for kind, some in (("floor", result.floors), ("ceiling", levels[len(result.floors) :]))
-        if some
+    return f'<svg class="scale" viewBox="0 0 {_WIDTH} {_HEIGHT}">{"".join(parts)}</svg>'
+
+
+def _legend(result: MetricResult) -> str:
+    """Return the floors and the ceiling of a score in words."""
+    kinds = (("floor", result.floors), ("ceiling", (result.ceiling,) if result.ceiling else ()))
+    return "".join(
+        f'<small class="{kind}">{kind}: {html.escape("; ".join(map(_level_line, levels)))}</small>'
+        for kind, levels in kinds
+        if levels
     )
-    return picture + legend
 
 
 def _level_line(level: Level) -> str:

@@ -14,9 +14,10 @@ from gesturekit.evaluation.report import tables
 from gesturekit.evaluation.report.agreement_table import agreement_lines
 from gesturekit.evaluation.report.headline import headline, interval_warnings
 from gesturekit.evaluation.report.plots import all_plots
-from gesturekit.evaluation.report.showcase import Shown, best_and_worst
+from gesturekit.evaluation.report.showcase import SECONDS, Shown, best_and_worst
 from gesturekit.evaluation.results import Evaluation
 from gesturekit.evaluation.statistics.paired import contests
+from gesturekit.evaluation.statistics.questions import same_verdicts
 from gesturekit.viewer import player_shell
 from gesturekit.viewer.pages import plots_section, script_json, section, write_page
 from gesturekit.wording import counted
@@ -59,12 +60,12 @@ def write_report(
     shown = best_and_worst(evaluation, body)
     rows = contests(evaluation.models)
     sections = [
+        _clips_section(shown, evaluation),
         without_folders(headline(evaluation, rows)),
         without_folders(tables.metrics(evaluation, rows)),
         without_folders(tables.recordings(evaluation)),
         plots_section(all_plots(evaluation)),
         _agreement_section(evaluation),
-        _clips_section(shown, evaluation),
         without_folders(tables.per_clip(evaluation)),
         without_folders(tables.excluded(evaluation)),
         without_folders(_definitions_section(evaluation, command)),
@@ -72,7 +73,8 @@ def write_report(
     page = {
         "title": html.escape(without_folders(heading)),
         "facts": "".join(f"<span>{html.escape(fact)}</span>" for fact in _facts(evaluation)),
-        "verdicts": _paragraphs("verdict", evaluation.verdicts()),
+        "verdicts": _paragraphs("verdict", evaluation.verdicts())
+        + _paragraphs("facts", [*same_verdicts(evaluation.models), *_glossary(evaluation)]),
         "warnings": _paragraphs("warning", _warnings(evaluation)),
         "sections": "\n".join(filter(None, sections)),
         "footer": html.escape(
@@ -104,6 +106,15 @@ def _with_short_names(evaluation: Evaluation) -> Evaluation:
         labels = [f"{label} ({i})" for i, label in enumerate(labels, 1)]
     models = [replace(m, label=label) for m, label in zip(evaluation.models, labels, strict=True)]
     return replace(evaluation, models=models)
+
+
+def _glossary(evaluation: Evaluation) -> Iterable[str]:
+    """Yield what a verdict's terms mean that no reader knows from elsewhere."""
+    if any("reach" in model.verdict for model in evaluation.models):
+        yield (
+            "Reach is the size of the space that the wrists move in, relative to the body; the "
+            "speaker's is that of the recordings."
+        )
 
 
 def _facts(evaluation: Evaluation) -> Iterable[str]:
@@ -146,12 +157,14 @@ def _clips_section(shown: list[Shown], evaluation: Evaluation) -> str:
         f"<small>{html.escape(clip.detail)}</small></button>"
         for clip in shown
     )
+    first = html.escape(evaluation.models[0].label)
     lead = (
-        f"{html.escape(evaluation.models[0].label)}, ranked by {html.escape(shown[0].ranked_by)}; "
-        "generated and recorded side by side, with the recording's sound where it was given."
+        f"The best and the worst clips of {first} by {html.escape(shown[0].ranked_by)}, beside "
+        "their recordings and with the recordings' sound where it was given. "
+        + ("" if not any(clip.is_cut for clip in shown) else f"The first {SECONDS:g} s of each. ")
     )
     return section(
-        "Best and worst clips",
+        "Generated and recorded, side by side",
         lead,
         f'<div id="clips-bar">{buttons}</div><iframe id="player" title="Player"></iframe>',
     )

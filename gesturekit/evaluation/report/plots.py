@@ -19,7 +19,10 @@ from gesturekit.evaluation.definitions import (
 from gesturekit.evaluation.report.svg import new_figure, svg_text
 from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 
-MODEL_COLOURS = ("#c8643a", "#3f7fae", "#6c9a48", "#9467a8", "#c49a2c", "#4aa39a")
+MODEL_COLOURS = (
+    *("#c8643a", "#3f7fae", "#6c9a48", "#9467a8", "#c49a2c", "#4aa39a"),
+    *("#b8365e", "#7a5a3c", "#4a4fb5", "#e391b4", "#2f5d3a", "#a3b52f"),
+)
 RECORDING = "#26303b"
 CHANCE = "#aab4be"
 _SOFT, _LINE = "#6b7785", "#d5dae0"

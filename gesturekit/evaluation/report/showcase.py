@@ -16,8 +16,8 @@ from gesturekit.viewer import player_data
 
 EACH = 2
 """Largest number of best and of worst clips."""
-SECONDS = 20.0
-"""Seconds of a clip that are shown, to keep the page small."""
+SECONDS = 180.0
+"""Seconds of a clip that are shown, at most: a page with four clips of two figures has 8 MB."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Shown:
         title: heading of the player.
         ranked_by: name of the metric.
         motion: JSON for the player.
+        is_cut: True if the clip is longer than what is shown.
     """
 
     label: str
@@ -37,6 +38,7 @@ class Shown:
     title: str
     ranked_by: str
     motion: str
+    is_cut: bool = False
 
 
 def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Shown]:
@@ -64,7 +66,8 @@ def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Show
         except (GestureKitError, AudioFeaturesError, OSError):
             continue
         detail = f"{clip.pair.name}: {definition.name.lower()} {clip.metrics[key]:.2f}"
-        shown.append(Shown(label, detail, f"{label}: {clip.pair.name}", definition.name, data))
+        title, cut = f"{label}: {clip.pair.name}", clip.seconds > SECONDS
+        shown.append(Shown(label, detail, title, definition.name, data, cut))
     return shown
 
 

@@ -14,7 +14,7 @@ from gesturekit.evaluation.definitions import (
     Definition,
 )
 from gesturekit.evaluation.report.plots import colour
-from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
+from gesturekit.evaluation.results import Evaluation, Interval, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.paired import Contest
 from gesturekit.viewer.pages import section, table
 from gesturekit.wording import counted
@@ -67,9 +67,10 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
         for definition in (d for d in evaluation.definitions() if d.group == group):
             key = definition.key
             row = contests.get(key)
-            cells = [_metric_cell(model, key, row) for model in models]
+            shared = _shared_remarks(models, key)
+            cells = [_metric_cell(model, key, row, shared) for model in models]
             cells.append(_recording_cell(models, key))
-            rows.append(f"<tr>{_measure_cells(definition, row)}{''.join(cells)}</tr>")
+            rows.append(f"<tr>{_measure_cells(definition, row, shared)}{''.join(cells)}</tr>")
         if rows:
             groups.append(
                 f"<details{' open' if group in _OPEN else ''}><summary>{group}</summary>"
@@ -77,14 +78,14 @@ def metrics(evaluation: Evaluation, contests: Mapping[str, Contest]) -> str:
                 + f"<p><small>{html.escape(evaluation.basis)}</small></p></details>"
             )
     lead = (
-        "Mean over takes; below it the 95 % interval over takes (over windows or 10 s "
-        "clips for Fréchet distances), and the numbers of recordings and of clips. The recordings "
-        "are measured as well: where a metric compares with recordings, another one, or one half "
-        "against the other. Their own value is the goal: an arrow says where it lies, unless a "
-        "model is beyond it. Bold: nearer to it than every other model by more than chance (paired "
-        "over recordings, Holm over all rows), and above chance. Metrics of a whole set have one "
-        "value: many of them have no interval, and none is ever bold. Chance is the same motion's "
-        "value with its sound shifted, or with other recordings."
+        "Mean over takes; below it the 95 % interval over takes (over windows or 10 s clips for "
+        "Fréchet distances) and, below the name of the metric, what the values of all models rest "
+        "on. The recordings are measured as well: where a metric compares with recordings, another "
+        "one, or one half against the other. Their own value is the goal: an arrow says where it "
+        "lies, unless a model is beyond it. Bold: nearer to it than every other model by more than "
+        "chance (paired over recordings, Holm over all rows), and above chance. Metrics of a whole "
+        "set have one value: many have no interval, and none is ever bold. Chance is the same "
+        "motion's value with its sound shifted, or with other recordings."
     )
     return section("Figures", lead, "".join(groups))
 
@@ -99,38 +100,52 @@ def has_samples(evaluation: Evaluation) -> bool:
     )
 
 
-def _measure_cells(definition: Definition, row: Contest | None) -> str:
+def _remarks(result: MetricResult) -> list[str]:
+    """Return what is to be known about a value: how informative it is, its basis, and its note."""
+    informative = "" if result.informative else "not informative here"
+    bare = "no interval" if result.interval.low is None else ""
+    return list(filter(None, (informative, bare, result.interval.count, result.note)))
+
+
+def _shared_remarks(models: list[ModelResult], key: str) -> list[str]:
+    """Return the remarks on a metric that hold for every model; they stand once, at its name."""
+    first, *others = [_remarks(m.metrics[key]) for m in models if key in m.metrics]
+    return [remark for remark in first if all(remark in other for other in others)]
+
+
+def _measure_cells(definition: Definition, row: Contest | None, shared: list[str]) -> str:
     arrow, meaning = ARROWS[definition.better if row is None else row.direction]
     bound = ' class="bound"' if definition.fps_bound else ""
     return (
         f"<th>{html.escape(definition.title)}"
-        f"<small{bound}>{html.escape(definition.variant)}</small></th>"
+        f"<small{bound}>{html.escape(definition.variant)}</small>{_small(shared)}</th>"
         f'<td title="{meaning}">{arrow}</td>'
     )
 
 
-def _metric_cell(model: ModelResult, key: str, row: Contest | None) -> str:
+def _small(lines: list[str]) -> str:
+    return "".join(f"<small>{html.escape(line)}</small>" for line in lines)
+
+
+def _metric_cell(model: ModelResult, key: str, row: Contest | None, shared: list[str]) -> str:
     result = model.metrics.get(key)
     if result is None:
         return '<td class="number">–<small>not measured</small></td>'
     best = " class=best" if row is not None and row.best == model.label else ""
     below = [_bounds(result.interval)]
-    if not result.informative:
-        below.insert(0, "not informative here")
     if result.chance is not None:
         below.append(f"chance {number(result.chance)}")
     if result.mismatched is not None:
         below.append(f"with other recordings {number(result.mismatched)}")
-    if result.note:
-        below.append(result.note)
-    small = "".join(f"<small>{html.escape(line)}</small>" for line in below)
-    return f'<td class="number"><span{best}>{number(result.interval.value)}</span>{small}</td>'
+    below += [remark for remark in _remarks(result) if remark not in shared]
+    value = f"<span{best}>{number(result.interval.value)}</span>"
+    return f'<td class="number">{value}{_small(list(filter(None, below)))}</td>'
 
 
 def _bounds(interval: Interval) -> str:
     if interval.low is None or interval.high is None:
-        return f"no interval; {interval.count}"
-    return f"{number(interval.low)} … {number(interval.high)}; {interval.count}"
+        return ""
+    return f"{number(interval.low)} … {number(interval.high)}"
 
 
 def _recording_cell(models: list[ModelResult], key: str) -> str:
@@ -139,10 +154,8 @@ def _recording_cell(models: list[ModelResult], key: str) -> str:
         result = model.metrics.get(key)
         if result is not None and result.recording is not None:
             own = result.recording_interval
-            small = ""
-            if own is not None and own.low is not None and own.high is not None:
-                small = f"<small>{number(own.low)} … {number(own.high)}</small>"
-            return f'<td class="number">{number(result.recording)}{small}</td>'
+            bounds = [_bounds(own)] if own is not None and own.low is not None else []
+            return f'<td class="number">{number(result.recording)}{_small(bounds)}</td>'
     return "<td></td>"
 
 
@@ -167,7 +180,7 @@ def recordings(evaluation: Evaluation) -> str:
             found = model.by_recording.get(stem, {})
             cells = "".join(
                 f'<td class="number">{number(found[d.key].value)}'
-                f"<small>{_bounds(found[d.key])}</small></td>"
+                f"{_small([_bounds(found[d.key]), found[d.key].count])}</td>"
                 if d.key in found
                 else "<td></td>"
                 for d in definitions

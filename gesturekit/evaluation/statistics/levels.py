@@ -29,8 +29,9 @@ TRAINING = "training motion"
 """Name of the floor of novelty."""
 OTHER_SOUND = "in_time_mismatched"
 """Key, among a recording's metrics, of its timing with the sounds of other recordings."""
-_BLIND = {"in_time": ("speech_blind", "other_utterance"), "likeness": ("speech_blind",)}
-"""Labels of models that ignore the speech, and are floors of a metric."""
+_BLIND = ("speech_blind", "other_utterance")
+"""Labels of models that ignore the speech, and are floors of timing. They are none of likeness: who
+speaks of something else moves like the speaker all the same."""
 ByTake = Callable[[ModelResult], Sequence[float] | np.ndarray]
 
 
@@ -102,21 +103,23 @@ def _by_take(clips: Sequence[ClipResult], key: str) -> np.ndarray:
     return Takes.of([clip.pair for clip in has]).means([clip.recording[key] for clip in has])
 
 
-def add_blind_floors(models: Sequence[ModelResult], key: str, values: ByTake) -> None:
-    """Add the scores of models that ignore the speech to the floors of the other models.
+def add_blind_floors(models: Sequence[ModelResult], timing: ByTake) -> None:
+    """Add the timing of models that ignore the speech to the floors of the other models.
 
-    Where the ceiling is no higher than a floor, the metric is not informative.
+    A score whose ceiling is no higher than a floor is then marked as not informative.
 
     Args:
         models: all models.
-        key: key of `definitions`.
-        values: function of a model to its scores by take.
+        timing: function of a model to its timing by take.
     """
-    blind = [model for model in models if model.label in _BLIND[key] and key in model.metrics]
+    blind = [model for model in models if model.label in _BLIND and "in_time" in model.metrics]
     for model in models:
-        if key in model.metrics:
-            floors = [level_of(one.label, values(one)) for one in blind if one is not model]
+        for key in ("in_time", "likeness"):
+            if key not in model.metrics:
+                continue
             result = model.metrics[key]
-            result = replace(result, floors=(*result.floors, *floors))
+            if key == "in_time":
+                floors = [level_of(one.label, timing(one)) for one in blind if one is not model]
+                result = replace(result, floors=(*result.floors, *floors))
             known = result.informative and reached_floor(result) is None
             model.metrics[key] = replace(result, informative=known)

@@ -47,9 +47,8 @@ Results = Mapping[str, MetricResult]
 
 
 def answer(models: Sequence[ModelResult]) -> None:
-    """Answer the three questions for each model, with the models that ignore speech as floors."""
-    add_blind_floors(models, "in_time", _timing_by_take)
-    add_blind_floors(models, "likeness", _likeness_by_take)
+    """Answer the three questions for each model; models that ignore speech are floors of timing."""
+    add_blind_floors(models, _timing_by_take)
     for model in models:
         model.answers = answers(model.clips, model.metrics)
 
@@ -57,11 +56,6 @@ def answer(models: Sequence[ModelResult]) -> None:
 def _timing_by_take(model: ModelResult) -> np.ndarray:
     clips = [clip for clip in model.clips if "in_time" in clip.metrics]
     return Takes.of([c.pair for c in clips]).means([c.metrics["in_time"] for c in clips])
-
-
-def _likeness_by_take(model: ModelResult) -> np.ndarray:
-    takes = Takes.of([clip.pair for clip in model.clips])
-    return likeness_of(model.clips, own_one_nn(model.metrics))(np.eye(takes.count))
 
 
 def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
@@ -391,6 +385,34 @@ def verdict(metrics: Mapping[str, MetricResult]) -> str:
     ]
     text = ", ".join(phrases)
     return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def same_verdicts(models: Sequence[ModelResult]) -> Iterator[str]:
+    """Yield in what models with the same verdict differ, a sentence for each such verdict.
+
+    Metrics are named whose intervals do not overlap for the two models that are farthest apart.
+    """
+    alike: dict[str, list[ModelResult]] = {}
+    for model in models:
+        alike.setdefault(model.verdict, []).append(model)
+    for verdict_, same in alike.items():
+        if not verdict_ or len(same) < 2:
+            continue
+        differ = []
+        for key, definition in DEFINITIONS.items():
+            results = [m.metrics[key] for m in same if key in m.metrics]
+            known = [r.interval for r in results if r.informative and r.interval.low is not None]
+            least = min(known, key=lambda one: one.value, default=None)
+            most = max(known, key=lambda one: one.value, default=None)
+            if least is None or most is None or least.high is None or most.low is None:
+                continue
+            if least.high < most.low:
+                differ.append(f"{definition.name} ({least.value:.3g} to {most.value:.3g})")
+        names = listed([model.label for model in same])
+        if differ:
+            yield f"{names} have one verdict; they differ in {listed(differ, 3)}."
+        else:
+            yield f"{names} have one verdict, and no metric tells them apart with certainty."
 
 
 def in_words(ratio: float) -> str:
