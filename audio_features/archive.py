@@ -36,7 +36,7 @@ def read_bytes(path: Path, most: int, error: type[Exception]) -> bytes:
             raise error(f"{path}: not a regular file")
         size = path.stat().st_size
         if size > most:
-            raise error(f"{path}: {size >> 20} MiB; up to {most >> 20} MiB of such files are read")
+            raise error(f"{path}: larger than {most >> 20} MiB, the most read of such files")
         with path.open("rb") as file:
             return file.read(size)  # no more, if it grows
     except FileNotFoundError:

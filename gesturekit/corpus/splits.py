@@ -18,6 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from audio_features.archive import read_bytes
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.manifest import absolute
@@ -123,10 +124,8 @@ def _matching(ids: list[str], pattern: str) -> set[str]:
 
 def _listed(ids: list[str], file: Path, copies: str) -> set[str]:
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise CorpusError(f"{file}: too large for a list of names")
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_bytes(file, _MOST_BYTES, CorpusError).decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
         raise CorpusError(f"{file}: cannot read the list of recordings: {error}") from error
     by_name = by_id_or_stem(ids)
     names: set[str] = set()

@@ -106,7 +106,7 @@ def _by_take(clips: Sequence[ClipResult], key: str) -> np.ndarray:
 def add_blind_floors(models: Sequence[ModelResult], timing: ByTake) -> None:
     """Add the timing of models that ignore the speech to the floors of the other models.
 
-    A score whose ceiling is no higher than a floor is then marked as not informative.
+    Timing and likeness whose ceiling is no higher than a floor are then marked as not informative.
 
     Args:
         models: all models.
@@ -114,12 +114,11 @@ def add_blind_floors(models: Sequence[ModelResult], timing: ByTake) -> None:
     """
     blind = [model for model in models if model.label in _BLIND and "in_time" in model.metrics]
     for model in models:
-        for key in ("in_time", "likeness"):
-            if key not in model.metrics:
-                continue
+        timed = model.metrics.get("in_time")
+        if timed is not None:
+            floors = [level_of(one.label, timing(one)) for one in blind if one is not model]
+            model.metrics["in_time"] = replace(timed, floors=(*timed.floors, *floors))
+        for key in model.metrics.keys() & {"in_time", "likeness"}:
             result = model.metrics[key]
-            if key == "in_time":
-                floors = [level_of(one.label, timing(one)) for one in blind if one is not model]
-                result = replace(result, floors=(*result.floors, *floors))
             known = result.informative and reached_floor(result) is None
             model.metrics[key] = replace(result, informative=known)
