@@ -237,7 +237,9 @@ def test_retrieval_and_speech_blind_are_compared(gesturekit, model, held_out, tm
     baselines = ("--baseline", "speech_blind,mean_pose,retrieval", "--json", tmp_path / "r.json")
     baselines += ("--workers", 1)
     gesturekit("evaluate", tmp_path / "m", *about, *baselines).ok()
-    found = {m["label"]: m for m in json.loads((tmp_path / "r.json").read_text())["models"]}
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["settings"]["baselines"] == ["speech_blind", "mean_pose", "retrieval"]
+    found = {m["label"]: m for m in report["models"]}
     assert found.keys() == {"m", "retrieval", "speech_blind", "mean_pose"}
     (own,), (blind,), (pieces,) = (found[m]["clips"] for m in ("m", "speech_blind", "retrieval"))
     assert own["recording"] == blind["recording"] == pieces["recording"] == items["test"].id

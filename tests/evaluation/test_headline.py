@@ -9,17 +9,20 @@ import pytest
 
 from gesturekit.evaluation import (
     ClipResult,
+    Evaluation,
     Interval,
     ItemInterval,
     Level,
     MetricResult,
     ModelResult,
     Pair,
+    SpeedHistogram,
     answers,
     likeness_by_group,
     likeness_of,
     verdict,
 )
+from gesturekit.evaluation.report.headline import headline
 from gesturekit.evaluation.statistics.groups import groups_of
 from gesturekit.evaluation.statistics.likeness import credits, likeness
 from gesturekit.evaluation.statistics.questions import same_verdicts
@@ -244,3 +247,27 @@ def test_models_with_one_verdict_are_told_apart_where_intervals_do_not_overlap()
     assert "Jerk" not in sentence
     (sentence,) = same_verdicts([a, replace(b, metrics=a.metrics)])
     assert "no metric" in sentence
+
+
+def test_floors_stand_at_the_question_and_again_only_where_a_model_has_others():
+    floor, other = Level("mean pose", 0.111, None, 0), Level("another speaker", 0.222, None, 0)
+
+    def model(label: str, *floors: Level, low: float | None = None) -> ModelResult:
+        interval = Interval(0.5, low, None if low is None else 0.6, 3, 3, "takes")
+        timed = MetricResult("in_time", interval, 0.9, floors=floors)
+        made = clips()
+        return ModelResult(
+            label, Path(label), answers=answers(made, {"in_time": timed}),
+            metrics={"in_time": timed}, clips=made,
+        )  # fmt: skip
+
+    def rows(*models: ModelResult) -> list[str]:
+        made = Evaluation(list(models), Path("r"), 25.0, "", {}, SpeedHistogram(), np.zeros(0))
+        shown = re.sub("<title>.*?</title>|<p>.*?</p>", "", headline(made, {}))
+        return re.findall(r"<tr>.*?</tr>", shown, re.DOTALL)
+
+    head, *alike = rows(model("a", floor), model("b", floor))
+    assert "0.11" in head and not any("0.11" in row or "no interval" in row for row in alike)
+    head, first, second = rows(model("a", floor), model("b", other, low=0.4))
+    assert "0.11" in head and "0.11" not in first and "0.22" in second
+    assert "no interval" in first and "0.40 to 0.60" in second

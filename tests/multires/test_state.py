@@ -62,11 +62,12 @@ def test_channels_are_those_worked_out_by_hand():
     assert found["right fast"] == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("sign", "expected"), [(1, 1.0), (-1, -1.0)])
-def test_hands_that_rise_together_are_coupled(sign, expected):
-    wave = np.zeros((3, 500))
-    wave[1] = 0.3 * np.sin(2 * np.pi * np.arange(500) / FPS)
-    assert channels_of(wave, sign * wave)["coupling"][250] == pytest.approx(expected, abs=0.01)
+@pytest.mark.parametrize(("phase", "expected"), [(0.0, 1.0), (np.pi, -1.0), (np.pi / 2, 0.0)])
+def test_hands_that_rise_together_are_coupled(phase, expected):
+    """Over a second: a quarter of a wave apart, they move alike as often as against each other."""
+    hands = np.zeros((2, 3, 500))
+    hands[:, 1] = 0.3 * np.sin(2 * np.pi * np.arange(500) / FPS + [[0.0], [phase]])
+    assert channels_of(*hands)["coupling"][200:300] == pytest.approx(expected, abs=0.01)
 
 
 def test_a_burst_of_movement_is_fast_and_not_slow():
