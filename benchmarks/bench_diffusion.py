@@ -31,8 +31,8 @@ from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.network import Attention, Conformer, Denoiser, DilatedConv, attend
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, clip_denoised, sample
 from gesturekit.diffusion.position_bias import PositionBias, bands
-from gesturekit.training.run.session import prepare_device
 from gesturekit.training.seeds import rng_for
+from gesturekit.training.session import prepare_device
 
 N_MOTION, N_CONDITION, CLIP = 70, 35, 300
 FEW = 12

@@ -43,8 +43,8 @@ from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.layers import SLOPE, block_neighbours
 from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import load_config, to_dict
-from gesturekit.training.run.folder import Run
-from gesturekit.training.run.session import Processes, prepare_device
+from gesturekit.training.run_folder import Run
+from gesturekit.training.session import Processes, prepare_device
 
 FRAMES, FPS, LEVELS = 648, 30, 7
 LENGTHS = (129, 172, 229, 305, 406, 541, 648)

@@ -16,7 +16,7 @@ from matplotlib.patches import FancyBboxPatch
 
 import audio_features as af
 import gesturekit as gk
-from gesturekit.diffusion.members import weight_track
+from gesturekit.diffusion.conditions import weight_track
 from gesturekit.evaluation import arm_speed
 from gesturekit.evaluation.metrics.sync import speech_envelope
 from gesturekit.motion import Motion

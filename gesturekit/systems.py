@@ -13,10 +13,17 @@ from typing import TYPE_CHECKING, Any, Literal
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
 from gesturekit.field_docs import field_docs
 from gesturekit.model import Controls, Model, control_entries
-from gesturekit.training.config import Setting, list_settings, load_config, read_chain, read_yaml
+from gesturekit.training.config import (
+    Setting,
+    list_settings,
+    load_config,
+    read_chain,
+    read_yaml,
+    to_dict,
+)
 from gesturekit.training.recipes import find_config, main_configs, named_config
-from gesturekit.training.run.folder import unfinished
 from gesturekit.training.run_config import RunConfig
+from gesturekit.training.run_folder import Run, has_no_run, unfinished
 
 if TYPE_CHECKING:
     from audio_features.weight_files import WeightPlaces
@@ -31,9 +38,7 @@ class System:
     model: str
     controls: str
     config: str
-    train: str
-    plan: str
-    arrays: str
+    trainer: str
     fit_live: str | None = None
 
 
@@ -42,18 +47,14 @@ SYSTEMS = {
         model="gesturekit.multires.model:MultiresModel",
         controls="gesturekit.multires.controls:MultiresControls",
         config="gesturekit.multires.config:MultiresConfig",
-        train="gesturekit.multires.training.trainer:train",
-        plan="gesturekit.multires.training.plan:plan_training",
-        arrays="gesturekit.multires.training.plan:make_arrays",
+        trainer="gesturekit.multires.training.trainer:Trainer",
         fit_live="gesturekit.multires.training.result:fit_live",
     ),
     "diffusion": System(
         model="gesturekit.diffusion.model:DiffusionModel",
         controls="gesturekit.diffusion.controls:DiffusionControls",
         config="gesturekit.diffusion.config:DiffusionConfig",
-        train="gesturekit.diffusion.training.trainer:train",
-        plan="gesturekit.diffusion.training.trainer:plan_training",
-        arrays="gesturekit.diffusion.training.trainer:make_arrays",
+        trainer="gesturekit.diffusion.training.trainer:Trainer",
     ),
 }
 
@@ -215,9 +216,6 @@ def train(
     if isinstance(overrides, Mapping):
         settings, overrides = {**overrides, **settings}, ()
     system, loaded = _resolve(config, overrides, settings, resume=resume)
-    from gesturekit.training.config import to_dict
-    from gesturekit.training.run.folder import Run, has_no_run  # imports torch
-
     if resume and _is_model(model := loaded.out / "model"):
         Run(loaded.out, to_dict(loaded), resume=True)  # refuses other settings
         longer = f"gesturekit train {loaded.out}/config.yaml longer={2 * loaded.longer:g} out=OTHER"
@@ -226,7 +224,9 @@ def train(
     if resume and has_no_run(loaded.out):
         log.info("%s: no run to resume yet; starting a new one.", loaded.out)
         resume = False
-    return _part(system.train)(loaded, resume=resume)
+    from gesturekit.training.trainer import run_training  # imports torch
+
+    return run_training(_part(system.trainer), loaded, resume=resume)
 
 
 def plan_training(config: str | Path, overrides: Sequence[str] = ()) -> None:
@@ -235,8 +235,10 @@ def plan_training(config: str | Path, overrides: Sequence[str] = ()) -> None:
     Raises:
         ConfigError: the configuration is wrong. A run folder that is in use is only a warning.
     """
+    from gesturekit.training import trainer
+
     system, loaded = _resolve(config, overrides, {}, resume=False)
-    _part(system.plan)(loaded)
+    trainer.plan_training(_part(system.trainer), loaded)
 
 
 def make_arrays(config: str | Path, overrides: Sequence[str] = ()) -> None:
@@ -247,8 +249,10 @@ def make_arrays(config: str | Path, overrides: Sequence[str] = ()) -> None:
         CorpusError: the corpus cannot be trained on.
         OutputError: the disk is full; the arrays made so far are kept.
     """
+    from gesturekit.training import trainer
+
     system, loaded = _resolve(config, overrides, {}, resume=False)
-    _part(system.arrays)(loaded)
+    trainer.make_arrays(_part(system.trainer), loaded)
 
 
 def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list[Setting]:

@@ -68,7 +68,7 @@ def folders_of(
 ) -> dict[str, Path]:
     """Return {label: folder of motion}; sample model folders first."""
     from gesturekit.systems import bundled_models
-    from gesturekit.training.run.folder import unfinished
+    from gesturekit.training.run_folder import unfinished
 
     folders: dict[str, Path] = {}
     sampled = False
@@ -229,7 +229,7 @@ def trained_on(model: ModelResult, name: str) -> str:
     from gesturekit.evaluation.pairs import ItemInterval
     from gesturekit.rendering.batch import model_of_results
     from gesturekit.systems import model_folder
-    from gesturekit.training.data.sources import is_trained_on, load_sources
+    from gesturekit.training.origin import is_trained_on, load_sources
 
     sources = load_sources(model_of_results(model.path) or model_folder(name))
     measured = {clip.pair.stem: clip.pair for clip in model.clips}

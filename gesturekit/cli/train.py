@@ -199,7 +199,7 @@ def _verdict(model: Path) -> list[str]:
 
 def _weights_arguments(features: Mapping[str, Any]) -> list[str]:
     """Return the options of `render` that name the weights of the encoders."""
-    from gesturekit.training.data.features import FeatureConfig
+    from gesturekit.training.features import FeatureConfig
 
     places = FeatureConfig(features["extractors"], features.get("weights")).encoder_places
     if len(places) == 1:

@@ -1,5 +1,7 @@
 """Conditions of a diffusion model, frame by frame: speech, a path, events, a style and a state.
 
+Here too is the text of a request that says what holds when: events, styles, and weights of experts.
+
 A condition has the columns `[speech S | path 3 | events E | styles K | state C]`; parts with which
 the model was not trained have no columns. A part that is not given is zero, as with condition
 dropout.
@@ -20,13 +22,13 @@ from torch import Tensor
 
 import audio_features as af
 from audio_features.weight_files import WeightPlaces
-from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.corpus.speech import SpeechConditioner, style_number, style_track
 from gesturekit.errors import ModelError
 from gesturekit.evaluation.metrics.rhythm import music_beats
 from gesturekit.formats.tables import Event, load_events
 from gesturekit.motion.root_path import RootPath
 from gesturekit.state.channels import StateChannels
-from gesturekit.training.data.features import conditioner_values, load_conditioner
+from gesturekit.training.features import conditioner_values, load_conditioner
 from gesturekit.wording import did_you_mean
 
 PARTS = ("speech", "path", "events", "styles", "state")
@@ -246,3 +248,139 @@ def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
                 )
         asked += [Event(float(time), match["name"].strip(), duration) for time in times]
     return tuple(sorted(asked))
+
+
+SUM_TOLERANCE = 1e-5
+"""Largest rounding error of the sum of the weights."""
+
+ExpertWeight = float | np.ndarray | str | None
+"""The forms of an expert's weight; see `weights_over_time`."""
+
+_STYLE_TERM = re.compile(
+    r"(?P<name>.+?)(:(?P<weight>[-+]?(\d+(\.\d*)?|\.\d+)))?(@(?P<span>\d+(\.\d+)?-\d+(\.\d+)?))?"
+)
+
+
+def style_weights(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> np.ndarray:
+    """Return the weights (T, K) float64 of the styles over time, which add up to 1.
+
+    Args:
+        names: the model's K styles.
+        wanted: one style (`old`); several with weights (`old:0.25,angry:0.75`), which may be below
+            0 or above 1 (`old:-0.25,angry:1.25`); spans in seconds (`old@0-10,angry@10-20`), which
+            are cross-faded as in `style_track`; or weights in spans
+            (`old:0.5@0-10,angry:0.5@0-10,angry@10-20`).
+        n_frames: T.
+        fps: frames per second.
+
+    Raises:
+        ModelError: an unknown style, a text that cannot be read, or weights that do not add up to 1
+            in some span.
+    """
+    spans: dict[str, dict[int, float | None]] = {}
+    for text in [wanted] if wanted in names else wanted.split(","):
+        name, weight, span = _style_term(names, text.strip())
+        spans.setdefault(span, {})
+        number = style_number(names, name)
+        if number in spans[span]:
+            raise ModelError(f"style {wanted!r}: {name} is named twice for the same time")
+        spans[span][number] = weight
+    if "" in spans and len(spans) > 1:
+        raise ModelError(
+            f"style {wanted!r}: some styles have a span of seconds and some have none; give all "
+            "or none of them one, as in old@0-10,angry@10-20"
+        )
+    mixtures = np.zeros((len(spans), len(names)))
+    for row, weights in zip(mixtures, spans.values(), strict=True):
+        row[list(weights)] = _span_weights(wanted, list(weights.values()))
+    if "" in spans:
+        return np.repeat(mixtures, n_frames, axis=0)
+    labels = [str(k) for k in range(len(spans))]
+    asked = ",".join(f"{k}@{span}" for k, span in enumerate(spans))
+    return style_track(labels, asked, n_frames, fps).astype(np.float64) @ mixtures
+
+
+def _style_term(names: Sequence[str], text: str) -> tuple[str, float | None, str]:
+    """Return name, weight and span of one style; names may contain colons."""
+    match = _STYLE_TERM.fullmatch(text)
+    if text in names or match is None:
+        return text, None, ""
+    name, weight = match["name"], match["weight"]
+    if weight is not None and f"{name}:{weight}" in names:
+        name, weight = f"{name}:{weight}", None
+    return name, None if weight is None else float(weight), match["span"] or ""
+
+
+def _span_weights(wanted: str, weights: list[float | None]) -> list[float]:
+    """Return the weights of one span; without any, all styles share equally."""
+    given = [weight for weight in weights if weight is not None]
+    if not given:
+        return [1 / len(weights)] * len(weights)
+    if len(given) < len(weights):
+        raise ModelError(f"style {wanted!r}: some styles have a weight and some have none")
+    if abs(sum(given) - 1) > SUM_TOLERANCE:
+        raise ModelError(f"style {wanted!r}: weights add up to {sum(given):g}; they must give 1")
+    return given
+
+
+_WEIGHT_SPAN = re.compile(
+    r"(?P<weight>[-+]?(\d+(\.\d*)?|\.\d+))@(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)"
+)
+
+
+def weight_track(text: str, n_frames: int, fps: float) -> np.ndarray:
+    """Return weights (T,) float64 given as spans in seconds: `0.2@0-10,0.8@10-20`.
+
+    Neighbouring spans are cross-faded like styles (`style_track`), and overlapping spans averaged.
+    Outside of all spans the weight is 0.
+
+    Raises:
+        ModelError: a text that cannot be read, or a span that ends before it begins.
+    """
+    spans = []
+    for span in map(str.strip, text.split(",")):
+        match = _WEIGHT_SPAN.fullmatch(span)
+        if match is None:
+            raise ModelError(f"weight {span!r}: weights over time look like 0.2@0-10,0.8@10-20")
+        if float(match["end"]) <= float(match["start"]):
+            raise ModelError(f"weight {span!r}: the span ends before it begins")
+        spans.append((float(match["weight"]), match["start"], match["end"]))
+    reached = 0.0
+    for _, start, end in sorted(spans, key=lambda span: float(span[1])):
+        if float(start) > reached:
+            spans.append((0.0, f"{reached:f}", start))
+        reached = max(reached, float(end))
+    if n_frames / fps > reached:
+        spans.append((0.0, f"{reached:f}", f"{reached + n_frames / fps:f}"))
+    names = [str(k) for k in range(len(spans))]
+    asked = ",".join(f"{k}@{start}-{end}" for k, (_, start, end) in enumerate(spans))
+    weights = np.array([weight for weight, _, _ in spans])
+    return style_track(names, asked, n_frames, fps).astype(np.float64) @ weights
+
+
+def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) -> list[np.ndarray]:
+    """Return the weight of each expert: (1,) if it is constant, else (T,).
+
+    Args:
+        given: numbers, arrays (T,), texts (see `weight_track`), or None for an equal share of the
+            remaining weight.
+        n_frames: T.
+        fps: frames per second.
+
+    Raises:
+        ModelError: a text that cannot be read, or weights that do not fit the frames.
+    """
+    weights: list[np.ndarray | None] = []
+    for weight in given:
+        if isinstance(weight, str):
+            weight = weight_track(weight, n_frames, fps)
+        values = None if weight is None else np.atleast_1d(np.asarray(weight, dtype=np.float64))
+        if values is not None and values.shape not in ((1,), (n_frames,)):
+            raise ModelError(
+                f"weights of an expert have shape {values.shape}; expected a number or "
+                f"({n_frames},), one for each frame"
+            )
+        weights.append(values)
+    rest = np.ones(1) - sum(weight for weight in weights if weight is not None)
+    shares = sum(weight is None for weight in weights)
+    return [rest / shares if weight is None else weight for weight in weights]

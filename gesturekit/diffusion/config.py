@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from gesturekit.corpus.layouts import HANDED
 from gesturekit.errors import ConfigError
-from gesturekit.training.data.features import FeatureConfig
+from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import (
     Limits,
     Positive,

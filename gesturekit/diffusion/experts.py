@@ -9,36 +9,44 @@ and gamma. Guided interpolation (eq. 7) has two experts with different styles.
 
 Noise is predicted in normalised motion. Models with different means can be combined: the noisy
 motion is shifted to the mean of each, and its noise stays the same. Models with different scales
-cannot: the same noise would have a different size for each of them.
+cannot: the same noise would have a different size for each of them. So two models can be combined
+if one was trained from the other (`start_from`), with the other's motion vectors (`moves_like`), or
+on the same recordings.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.diffusion.members import (
+from gesturekit.corpus.checks import first_difference
+from gesturekit.diffusion.conditions import (
     SUM_TOLERANCE,
-    Member,
+    ExpertWeight,
     style_weights,
+    weight_track,
     weights_over_time,
 )
+from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
-from gesturekit.diffusion.request import Request
 from gesturekit.errors import ModelError
 from gesturekit.state.files import mood_seed
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:
     from gesturekit.diffusion.model import DiffusionModel
+    from gesturekit.diffusion.request import Request
+
+_SCALE_TOLERANCE = 1e-4
+"""Largest relative difference between the scales of two models that can be combined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +141,126 @@ def _check_sum(weights: Sequence[np.ndarray]) -> None:
     if not math.isclose(worst, 1.0, rel_tol=0, abs_tol=SUM_TOLERANCE):
         given = ", ".join(f"{weight[0]:g}" if weight.size == 1 else "..." for weight in weights)
         raise ModelError(f"weights {given} add up to {worst:g}; experts' weights must add up to 1")
+
+
+class Member(NamedTuple):
+    """A model of a product, with its weight, and its style; None for a random style."""
+
+    model: DiffusionModel
+    weight: ExpertWeight
+    style: str | None
+
+
+def product_members(first: DiffusionModel, controls: DiffusionControls) -> list[Member]:
+    """Collect and check the models of a request, without the unconditional one.
+
+    An expert without a style gets the style of the first model if it has that style, and a
+    random one otherwise.
+
+    Raises:
+        ModelError: models that cannot be combined, weights over time or styles that cannot be
+            read, or guidance that none of the models supports.
+    """
+    style = controls["style"]
+    members = [Member(first, None, style)]
+    for number, expert in enumerate(controls["experts"], start=1):
+        if not 1 <= len(expert) <= 3:
+            raise ModelError(f"expert {number}: expected (model, weight) or + (style,)")
+        model, weight, named = (*expert, None, None)[:3]
+        _compatible(first, model, f"expert {number}")
+        if isinstance(weight, str):
+            weight_track(weight, 1, first.fps)
+        inherited = style if _knows(model, style) else None
+        members.append(Member(model, weight, inherited if named is None else named))
+    if style is not None and not any(member.model.styles for member in members):
+        raise ModelError(f"style={style!r}: this model has no styles")
+    _check_guidance(first, controls)
+    for model, _, name in members:
+        if model.styles and name is not None:
+            style_weights(model.styles, name, 1, model.fps)
+    return members
+
+
+def _knows(model: DiffusionModel, style: str | None) -> bool:
+    if style is None or not model.styles:
+        return False
+    try:
+        style_weights(model.styles, style, 1, model.fps)
+    except ModelError:
+        return False
+    return True
+
+
+def _check_guidance(first: DiffusionModel, controls: DiffusionControls) -> None:
+    guidance, unconditional = controls["guidance"], controls["unconditional"]
+    if (gamma := controls["state_guidance"]) is not None and "state" not in first.droppable:
+        raise ModelError(
+            f"state_guidance={gamma:g}: this model was trained without dropout of the state "
+            "(training.dropout_state above 0)"
+        )
+    if unconditional is not None:
+        if guidance is None:
+            raise ModelError("unconditional: only used with guidance; give guidance too")
+        model = _compatible(first, unconditional, "unconditional")
+        if model.styles and not {"styles", "all"} & set(model.droppable):
+            raise ModelError(
+                "unconditional: that model needs a style too; give one trained with styles: null"
+            )
+    elif guidance is not None:
+        if not first.conditions.columns["state"].start:
+            raise ModelError(f"guidance={guidance:g}: this model has no conditions to guide on")
+        if not ("all" in first.droppable or (first.styles and "styles" in first.droppable)):
+            what = "style" if first.styles else "condition"
+            raise ModelError(
+                f"guidance={guidance:g}: this model was trained without {what} dropout "
+                f"(training.dropout_{what} above 0); give an unconditional model beside it"
+            )
+
+
+def _compatible(first: DiffusionModel, other: Any, who: str) -> DiffusionModel:
+    """Return the other model; raise ModelError if the two cannot be combined."""
+    if reason := next(_differences(first, other), None):
+        raise ModelError(f"{who}: {reason}")
+    return other
+
+
+def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
+    """Yield reasons for which the motion vectors or noise of two models differ in meaning."""
+    kind = getattr(other, "kind", type(other).__name__)
+    if kind != first.kind:
+        yield f"a {kind} model; only diffusion models can be combined"
+    if other.device != first.device:
+        yield f"is on {other.device}, this model on {first.device}; load both on one device"
+    if other.fps != first.fps:
+        yield f"moves at {other.fps:g} fps, this model at {first.fps:g}"
+    theirs, ours = other.representation, first.representation
+    if different := first_difference(other.skeleton, first.skeleton):
+        yield f"another rig: {different}"
+    if theirs.joints != ours.joints:
+        yield f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model"
+    if theirs.makes_root != ours.makes_root:
+        yield "only one of the two follows a path"
+    ratio = other.normaliser.scale / first.normaliser.scale
+    worst = float(ratio[(ratio.log().abs()).argmax()])
+    places = (theirs.references, ours.references), (theirs.side, ours.side)
+    same = {
+        "lengths are relative to another body size": math.isclose(
+            theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE
+        ),
+        "rotations are relative to other mean rotations": all(
+            np.allclose(*pair, atol=1e-6) for pair in places
+        ),
+        f"motion has another scale (by up to a factor of {worst:.3g})": abs(worst - 1)
+        <= _SCALE_TOLERANCE,
+    }
+    for reason in (text for text, is_same in same.items() if not is_same):
+        yield f"its {reason}; train one with moves_like: the other, to share motion vectors"
+    noises = [
+        f"{noise.steps} steps, beta {noise.first_beta:g} to {noise.last_beta:g}"
+        for noise in (first.noise_config, other.noise_config)
+    ]
+    if noises[0] != noises[1]:
+        yield f"its noise schedule has {noises[1]}, that of this model {noises[0]}"
 
 
 def experts_of(request: Request, numbers: Sequence[int]) -> list[Expert]:

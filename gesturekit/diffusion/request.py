@@ -22,7 +22,6 @@ from gesturekit.diffusion.conditions import (
     wants_beats,
 )
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.members import Member
 from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, last_step_with_signal
 from gesturekit.errors import ModelError
@@ -32,9 +31,10 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.postprocess import Placement
 from gesturekit.state.files import given_state
-from gesturekit.training.data.own_rig import on_rig, pose_on_rig
+from gesturekit.training.own_rig import on_rig, pose_on_rig
 
 if TYPE_CHECKING:
+    from gesturekit.diffusion.experts import Member
     from gesturekit.diffusion.model import DiffusionModel
 
 

@@ -17,8 +17,14 @@ import torch
 from torch import Tensor
 
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.experts import Expert, experts_of, predicted_noise, product
-from gesturekit.diffusion.members import Member, product_members
+from gesturekit.diffusion.experts import (
+    Expert,
+    Member,
+    experts_of,
+    predicted_noise,
+    product,
+    product_members,
+)
 from gesturekit.diffusion.noise_schedule import Predict, chosen_steps, clip_denoised, sample
 from gesturekit.diffusion.request import Request, check_events
 from gesturekit.errors import ModelError, MotionError

@@ -27,7 +27,7 @@ from gesturekit.inspection.summary import Summary
 from gesturekit.systems import bundled_models, model_folder
 from gesturekit.training.config import read_yaml
 from gesturekit.training.recipes import is_copy
-from gesturekit.training.run.folder import unfinished
+from gesturekit.training.run_folder import unfinished
 
 __all__ = ["Summary", "inspect"]
 

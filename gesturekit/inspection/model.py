@@ -15,7 +15,7 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
-from gesturekit.training.run.folder import is_running, resume_command
+from gesturekit.training.run_folder import is_running, resume_command
 from gesturekit.wording import listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
@@ -74,7 +74,7 @@ def inspect_run(folder: Path) -> Summary:
     """
     # Modules that take long to import, which no summary of a model needs.
     from gesturekit.evaluation.definitions import DEFINITIONS
-    from gesturekit.training.run.folder import Checkpoints
+    from gesturekit.training.run_folder import Checkpoints
 
     try:
         config = read_yaml(folder / "config.yaml")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from gesturekit.errors import ConfigError
-from gesturekit.training.data.features import FeatureConfig
+from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import (
     Limits,
     Positive,

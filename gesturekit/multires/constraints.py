@@ -30,7 +30,7 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
-from gesturekit.training.data.own_rig import on_rig
+from gesturekit.training.own_rig import on_rig
 
 _SWAY = 0.03
 """Largest sway of the hips to either side of a path, metres of the reference body."""

@@ -23,7 +23,7 @@ from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.training.data.own_rig import on_rig
+from gesturekit.training.own_rig import on_rig
 
 _EASE_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths the correction of the root's path."""

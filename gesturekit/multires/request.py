@@ -21,7 +21,7 @@ from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.keyframes import fit_keyframes, full_frames
 from gesturekit.postprocess import Placement
 from gesturekit.state.files import given_state
-from gesturekit.training.data.own_rig import pose_on_rig
+from gesturekit.training.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:

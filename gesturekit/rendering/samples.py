@@ -166,7 +166,7 @@ def train_retrieval(corpus: Path, folder: Path, *, seed: int) -> Path:
         ConfigError: see `gesturekit.train`, such as a corpus without training recordings.
     """
     from gesturekit.systems import train
-    from gesturekit.training.run.plan import silently
+    from gesturekit.training.trainer import silently
 
     def run() -> Path:
         return train(RETRIEVAL, corpus=str(corpus), out=str(folder), seed=seed)

@@ -31,11 +31,11 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.files import check_drawn, state_tensors
 from gesturekit.state.process import StateProcess
 from gesturekit.training.config import dump_yaml, read_yaml
-from gesturekit.training.data.features import conditioner_tensors
-from gesturekit.training.data.own_rig import on_rig
-from gesturekit.training.run.folder import unfinished
-from gesturekit.training.run.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
+from gesturekit.training.features import conditioner_tensors
+from gesturekit.training.own_rig import on_rig
 from gesturekit.training.run_config import MOST_SMOOTH
+from gesturekit.training.run_folder import unfinished
+from gesturekit.training.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
 from gesturekit.wording import counted
 
 FORMAT = 1

@@ -25,7 +25,7 @@ from gesturekit.motion.model_joints import reference_skeleton
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.training.data.sources import TrainedSegment
+from gesturekit.training.origin import TrainedSegment
 from gesturekit.training.run_config import RunConfig
 from gesturekit.training.seeds import rng_for
 from gesturekit.wording import counted, listed

@@ -130,11 +130,6 @@ class RunConfig(Settings):
         """Return the folder of the arrays."""
         return self.arrays or self.corpus.with_suffix(".arrays")
 
-    @property
-    def began_with(self) -> str:
-        """Return the origin of the first weights, for the model's README."""
-        return str(self.start_from or "random weights")
-
     def lengthened(self, steps: int) -> int:
         """Return a number of training steps times `longer`, at least 1."""
         return max(1, round(steps * self.longer))

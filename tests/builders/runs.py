@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from safetensors.torch import load_file
 
-from gesturekit.training.run.folder import Checkpoints
+from gesturekit.training.run_folder import Checkpoints
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:

@@ -20,7 +20,7 @@ from small_models import small_diffusion
 from gesturekit.corpus import Item, Manifest, prepare
 from gesturekit.jobs.records import STATE, write_items
 from gesturekit.motion import Motion
-from gesturekit.training.data.sources import TrainedSegment, save_sources
+from gesturekit.training.origin import TrainedSegment, save_sources
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.inspection import inspect
 from gesturekit.multires.training.trainer import Stage
 from gesturekit.systems import resolved_settings
-from gesturekit.training.run.folder import Run
+from gesturekit.training.run_folder import Run
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from runs import apart, same_weights
 
 import gesturekit as gk
 from gesturekit.diffusion import train
-from gesturekit.training.run.folder import Checkpoints
+from gesturekit.training.run_folder import Checkpoints
 
 EVERYTHING = {
     "eval_every": 3,

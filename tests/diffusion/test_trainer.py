@@ -16,7 +16,7 @@ from gesturekit.diffusion.config import TrainingConfig
 from gesturekit.diffusion.training.trainer import learning_rate
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training.config import to_dict
-from gesturekit.training.run.folder import Checkpoints
+from gesturekit.training.run_folder import Checkpoints
 
 
 def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from gesturekit.diffusion.members import (
+from gesturekit.diffusion.conditions import (
     style_weights,
     weight_track,
     weights_over_time,

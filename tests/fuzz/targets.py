@@ -43,7 +43,7 @@ from gesturekit.rendering.inputs import read_list
 from gesturekit.study import Votes
 from gesturekit.systems import model_folder
 from gesturekit.training.config import load_config
-from gesturekit.training.run.folder import Checkpoints
+from gesturekit.training.run_folder import Checkpoints
 
 Seeds = Callable[[Path], list[bytes]]
 

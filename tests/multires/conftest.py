@@ -50,7 +50,7 @@ def batches_of():
 
     def make(config: MultiresConfig, data: TrainingData | None = None, first: int = 0) -> Batches:
         data = load_training_data(config) if data is None else data
-        width = data.conditions(config).width
+        width = data.conditions.width
         network = MultiresGenerator(data.representation, width, config.network)
         return Batches(data, config, network, first)
 

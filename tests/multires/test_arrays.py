@@ -19,9 +19,9 @@ import gesturekit as gk
 from gesturekit.corpus import Manifest
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.multires import TrainingData, load_training_data, train
-from gesturekit.multires.training.plan import Trial
+from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import dump_yaml, to_dict
-from gesturekit.training.run.session import session
+from gesturekit.training.session import session
 
 LONG = {"in_memory": 0.15}
 """Minutes; the corpus of the tests has 6.5 s of recordings and 5 s of unpaired speech."""
@@ -144,7 +144,7 @@ def test_frames_on_disk_are_those_of_memory(long_config, speech):
     items = [replace(i, style="ba"[i.id == "a"]) for i in Manifest.load(config.corpus)]
     Manifest(items).save(config.corpus)
     kept, read = load_training_data(replace(config, in_memory=9)), load_training_data(config)
-    assert not kept.is_stored and read.is_stored and read.styles == ("a", "b")
+    assert not kept.is_stored and read.is_stored and read.conditions.styles == ("a", "b")
     assert len(read.sample) == len(read.paired) == 2
     torch.testing.assert_close(read.normaliser.scale, kept.normaliser.scale, rtol=0, atol=0)
     assert kept.passive.joints and kept.passive == read.passive
@@ -212,7 +212,7 @@ def test_the_commands_plan_and_make_arrays_with_workers_and_train(
     made = arrays_in(config)
     assert len(made) == 5 and not config.out.exists()
     with session(config, resume=False, folder=tmp_path / "plan") as (run, device, processes):
-        trial = Trial(config, run, device, processes, resume=False, trial=True)
+        trial = Trainer(config, run, device, processes, resume=False, trial=True)
         rates = trial.estimate().rates
     size = sum(np.load(path).nbytes for path in config.arrays_folder.rglob("*.npy"))
     assert np.dot(rates, (6.5, 5.0)) == pytest.approx(size, rel=0.05)

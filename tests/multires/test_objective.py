@@ -10,8 +10,8 @@ from gesturekit.multires import losses, resample
 from gesturekit.multires.kinematics import log_movement
 from gesturekit.multires.training.trainer import Stage, Trainer
 from gesturekit.multires.training.windows import random_windows
-from gesturekit.training.run.session import session
 from gesturekit.training.seeds import rng_for
+from gesturekit.training.session import session
 
 
 def test_generators_want_high_scores_and_discriminators_a_gap():

@@ -471,7 +471,7 @@ def test_a_level_shows_most_of_the_state_of_its_own_recording(config, folder):
     def places(motion: torch.Tensor) -> torch.Tensor:
         return kinematics.places(data.normaliser.inverse(motion))
 
-    motion, n = one.motion[:, :62][None], len(data.state_channels.names)
+    motion, n = one.motion[:, :62][None], len(data.conditions.state.names)
     own, others = (torch.from_numpy(state.recorded(s)[None, :n, :62]) for s in (one, other))
     finest = StateTarget(state, 3, 4, places)
     assert finest(places(motion), own) < 0.5 * finest(places(motion), others)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gesturekit.errors import ConfigError
-from gesturekit.training.run.session import prepare_device
+from gesturekit.training.session import prepare_device
 
 
 def test_a_gpu_computes_deterministically_and_in_full_precision(gpu):

@@ -12,17 +12,26 @@ import soundfile
 import audio_features as af
 from gesturekit.corpus import Item, Manifest, prepare
 from gesturekit.corpus.speech import extract
-from gesturekit.training.data.arrays import array_key, stored_arrays
-from gesturekit.training.data.features import (
+from gesturekit.training.arrays import array_key, stored_arrays
+from gesturekit.training.features import (
     FeatureConfig,
     SpeechArrays,
     conditioner_tensors,
     conditioner_values,
-    extract_features,
     load_conditioner,
     raw_speech,
-    stored_speech,
+    speech_frames,
 )
+
+
+def features_of(items, config, most=None):
+    """Return a conditioner, and the features of items or of their first frames."""
+    maker = SpeechArrays.open(config, 25.0, "cpu")
+    made = maker.in_memory(items)
+    conditioner = maker.fit([(array, 0, array.shape[0]) for array in made], None)
+    frames = speech_frames(made, conditioner, [most or 10_000] * len(made))
+    return conditioner, [values[:, :].T.numpy() for values in frames]
+
 
 EXTRACTORS = ({"kind": "logmel", "n_mels": 12}, {"kind": "effort"})
 
@@ -33,9 +42,7 @@ def heard(corpus):
 
     def hear(config):
         items = [item for item in Manifest.load(corpus) if item.audio]
-        most = [None] * len(items)
-        made = extract_features(items, most, config.extractor(), 25.0, config)
-        return *made, items[0].load_wave()
+        return *features_of(items, config), items[0].load_wave()
 
     return hear
 
@@ -66,7 +73,7 @@ def test_sound_without_voice_counts_as_silence_in_training_too(tmp_path, write_s
 
     def features(**settings):
         config = FeatureConfig(EXTRACTORS, **settings)
-        return extract_features(items, [None] * 3, config.extractor(), 25.0, config)
+        return features_of(items, config)
 
     conditioner, (floor, still, talk) = features()
     (message,) = [text for text in caplog.messages if "voice" in text]
@@ -94,9 +101,9 @@ def test_features_on_disk_are_those_in_memory(tmp_path, write_speech, most, capl
     config = FeatureConfig(EXTRACTORS)
     maker = SpeechArrays.open(config, 25.0, "cpu")
     ((one, other),) = stored_arrays(tmp_path / "arrays", [(maker, items)], 1)
-    conditioner, speeches = extract_features(items, [most] * 2, maker.extractor, 25.0, config)
+    conditioner, speeches = features_of(items, config, most)
     caplog.clear()
-    stored = stored_speech([one, other], conditioner, most and [most, 70])
+    stored = speech_frames([one, other], conditioner, [most, 70] if most else [75, 75])
     assert re.search(rf"(?=.*\b1\b)(?=.*\b2\b)(?=.*{items[1].id})", caplog.text)
     assert stored[0].shape == (conditioner.dim, most or 75)
     assert stored[1].shape == (conditioner.dim, 70 if most else 75)

@@ -9,7 +9,7 @@ import pytest
 from small_runs import small_diffusion
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.training.run.held_out import HeldOutMetrics
+from gesturekit.training.held_out import HeldOutMetrics
 
 
 @pytest.fixture

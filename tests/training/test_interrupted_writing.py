@@ -7,7 +7,7 @@ import torch
 
 from audio_features.atomic import atomic_write
 from gesturekit.training.model_folder import save_data, save_model
-from gesturekit.training.run.folder import Checkpoints
+from gesturekit.training.run_folder import Checkpoints
 
 WRITERS = {
     "model": lambda folder: save_model(folder, {"kind": "x", "fps": 1}, {}, {}, "text"),

@@ -13,8 +13,8 @@ import torch
 
 import audio_features as af
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.data.start_model import check_conditions
 from gesturekit.training.model_folder import ModelParts, load_model, model_digest, save_model
+from gesturekit.training.origin import check_conditions
 
 CONFIG = {"kind": "puppet", "fps": 25, "styles": ["a", "b"]}
 RIG = {"names": ["Hips"], "height": 1.5}

@@ -9,12 +9,12 @@ import torch
 from runs import ended, launch
 
 from gesturekit.errors import ConfigError
-from gesturekit.training.run.session import Processes
+from gesturekit.training.session import Processes
 
 SCRIPT = """
 import json, os, sys, torch
 from pathlib import Path
-from gesturekit.training.run.session import Processes
+from gesturekit.training.session import Processes
 
 os.environ["RANK"] = os.environ["LOCAL_RANK"] = "0" if os.fork() else "1"
 with Processes.from_environment("cpu") as processes:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.run.folder import Checkpoints, Run, has_no_run
+from gesturekit.training.run_folder import Checkpoints, Run, has_no_run
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gesturekit.corpus.item import file_fingerprint
-from gesturekit.training.data.sources import (
+from gesturekit.training.origin import (
     TrainedSegment,
     is_trained_on,
     load_sources,

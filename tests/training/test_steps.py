@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from gesturekit.training.run.loop import Steps
+from gesturekit.training.loop import Steps
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 
 from gesturekit.corpus import Item
 from gesturekit.errors import ConfigError, CorpusError, FormatError, OutputError
-from gesturekit.training.data.arrays import ArrayFolder, stored_arrays
+from gesturekit.training.arrays import ArrayFolder, stored_arrays
 
 KEY = "3fab"
 ROWS = np.arange(30.0).reshape(10, 3)

@@ -21,10 +21,8 @@ from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.files import state_values
 from gesturekit.state.process import StateProcess
-from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray
-from gesturekit.training.data.features import stored_speech
-from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
-from gesturekit.training.data.start_model import read_start, start_tensors
+from gesturekit.training.arrays import Array, ArrayFolder, Frames
+from gesturekit.training.features import speech_frames
 from gesturekit.training.model_folder import (
     fitted_tensors,
     load_data,
@@ -32,26 +30,13 @@ from gesturekit.training.model_folder import (
     rig_values,
     save_data,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class ArrayInMemory:
-    """Array (N, X + W) of a recording, as `VariantArrays` makes it, in memory."""
-
-    values: np.ndarray
-    facts: Mapping[str, Any]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """N and X + W."""
-        return self.values.shape
-
-    def rows(self, start: int, stop: int) -> np.ndarray:
-        """Return frames `start` to `stop`, (stop - start, X + W)."""
-        return self.values[start:stop]
-
-
-VariantArray = ArrayInMemory | StoredArray
+from gesturekit.training.origin import (
+    TrainedSegment,
+    from_values,
+    read_start,
+    start_tensors,
+    to_values,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +53,7 @@ class StoredRows:
         state: returns the state of movement (T, C) that follows; None for none.
     """
 
-    array: VariantArray
+    array: Array
     first: int
     n_frames: int
     columns: slice
@@ -142,12 +127,12 @@ class Variant:
     which: int
     phase: int
     mirrored: bool
-    array: VariantArray
+    array: Array
     first: int
     n_frames: int
 
 
-def variants_of(arrays: Sequence[VariantArray]) -> list[Variant]:
+def variants_of(arrays: Sequence[Array]) -> list[Variant]:
     """Return the variants of recordings in the order of training data, mirrored copies last."""
     variants = []
     for which, array in enumerate(arrays):
@@ -190,11 +175,6 @@ def sequences_of(
     return tuple(sequences)
 
 
-def names_of(arrays: Sequence[VariantArray]) -> list[str]:
-    """Return the names of arrays on disk in their folder."""
-    return [array.path.stem for array in arrays if isinstance(array, StoredArray)]
-
-
 def stored_sequences(
     names: Mapping[str, Sequence[str]], config: DiffusionConfig, conditions: Conditions, width: int
 ) -> tuple[TrainingSequence, ...]:
@@ -214,7 +194,7 @@ def stored_sequences(
     if conditions.conditioner is not None:
         lengths = [variant.n_frames for variant in variants if not variant.mirrored]
         arrays = folder.find_all(names["speech"])
-        speech = stored_speech(arrays, conditions.conditioner, lengths[: len(arrays)])
+        speech = speech_frames(arrays, conditions.conditioner, lengths[: len(arrays)])
     return sequences_of(variants, speech, conditions, width, len(names["motion"]))
 
 
@@ -258,7 +238,8 @@ class TrainingData:
 
     Attributes:
         recordings: and their variants.
-        seconds: total length of paired and unpaired recordings, without variants.
+        seconds: total length of paired recordings, without variants.
+        unpaired_seconds: that of unpaired ones.
         representation: the motion vector of the rig.
         conditions: the layout of conditions.
         normaliser: mean and scale of motion vectors.
@@ -273,7 +254,8 @@ class TrainingData:
     """
 
     recordings: tuple[TrainingSequence, ...]
-    seconds: tuple[float, float]
+    seconds: float
+    unpaired_seconds: float
     representation: DeltaRepresentation
     conditions: Conditions
     normaliser: Normaliser
@@ -284,6 +266,11 @@ class TrainingData:
     sampled: tuple[Cut, ...] | None = None
     stored: Mapping[str, Sequence[str]] | None = None
     state_process: StateProcess | None = None
+
+    @property
+    def is_stored(self) -> bool:
+        """Return True if the recordings are arrays on disk."""
+        return self.stored is not None
 
     @property
     def paired(self) -> list[TrainingSequence]:
@@ -325,7 +312,7 @@ class TrainingData:
             "is_paired": [recording.is_paired for recording in in_memory],
             "sampled": self.sampled,
             "stored": self.stored,
-            "seconds": list(self.seconds),
+            "seconds": [self.seconds, self.unpaired_seconds],
             "sources": to_values(self.sources),
             "recorded_fps": self.recorded_fps,
             "conditions": conditions.to_values(),
@@ -369,7 +356,8 @@ class TrainingData:
             return cls(
                 **fitted,
                 recordings=recordings,
-                seconds=(paired, unpaired),
+                seconds=paired,
+                unpaired_seconds=unpaired,
                 speakers=read_speakers(about),
                 sources=from_values(about["sources"]),
                 recorded_fps=about["recorded_fps"],

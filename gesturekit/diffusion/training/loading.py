@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.diffusion.conditions import Conditions
@@ -14,14 +13,11 @@ from gesturekit.diffusion.config import DiffusionConfig
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
 from gesturekit.diffusion.training.data import (
-    ArrayInMemory,
     Cut,
     TrainingData,
     TrainingSequence,
     Variant,
-    VariantArray,
     motion_of,
-    names_of,
     sequences_of,
     variants_of,
     with_state,
@@ -35,17 +31,10 @@ from gesturekit.diffusion.training.recordings import (
 from gesturekit.errors import ConfigError
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.process import RecordedState, StateProcess
+from gesturekit.training.arrays import Array, ArrayInMemory, StoredFrames, names_of, stored_arrays
 from gesturekit.training.config import to_dict
-from gesturekit.training.data.arrays import Frames, StoredArray, stored_arrays
-from gesturekit.training.data.features import (
-    SpeechArrays,
-    extract_features,
-    feature_values,
-    fit_conditioner,
-    raw_speech,
-    stored_speech,
-)
-from gesturekit.training.data.start_model import (
+from gesturekit.training.features import SpeechArrays, feature_values, speech_frames
+from gesturekit.training.origin import (
     check_conditions,
     check_rig,
     check_settings,
@@ -73,13 +62,16 @@ def load_training_data(
     speech = None if features is None else SpeechArrays.open(features, fps, device)
     like = _known_model(config)
     start = None if config.start_from is None else like
-    corpus = read_corpus(config, speech=speech is not None, trial=trial)
+    corpus = read_corpus(config, trial=trial)
     conditions = _conditions(config, corpus, speech, start)
     representation = _representation(config, corpus, like)
     conditions, *makers = _makers(config, corpus, conditions, representation)
     motion, unpaired = _encoded(corpus, *makers)
-    fitted, frames, spoken = _speech(config, corpus, motion, speech, conditions.conditioner)
-    conditions = replace(conditions, conditioner=fitted)
+    conditioner, spoken = _speech(config, corpus, motion, speech, conditions.conditioner)
+    conditions, frames = replace(conditions, conditioner=conditioner), list[StoredFrames]()
+    if conditioner is not None:
+        lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
+        frames = speech_frames(spoken, conditioner, lengths)
     variants, width = variants_of([*motion, *unpaired]), representation.n_features
     recordings = sequences_of(variants, frames, conditions, width, len(motion))
     sampled = stored = None
@@ -89,19 +81,19 @@ def load_training_data(
         sampled = _sampled(corpus, variants, recordings, fps)
         kinds = {"motion": motion, "speech": spoken, "unpaired": unpaired}
         stored = {kind: names_of(arrays) for kind, arrays in kinds.items()}
-    normaliser = None if like is None else like.normaliser
-    if normaliser is None:
-        normaliser = _fit_normaliser(representation, motion_of(recordings, sampled), fps)
+    normaliser = _normaliser(like, representation, motion_of(recordings, sampled), fps)
     process = None
     if config.state:
         about = variants, recordings, sampled, conditions, representation
         process = _fit_state(config, corpus, *about)
         recordings = tuple(with_state(r, process, representation) for r in recordings)
         conditions = replace(conditions, state=process.channels)
-    first, second = (sum((a.facts["seconds"] for a in m), 0.0) for m in (motion, unpaired))
+    seconds = [sum((a.facts["seconds"] for a in m), 0.0) for m in (motion, unpaired)]
+    seconds = [*corpus.recordings.lengths] if trial else seconds
     return TrainingData(
         recordings=recordings,
-        seconds=corpus.recordings.lengths if trial else (first, second),
+        seconds=seconds[0],
+        unpaired_seconds=seconds[1],
         representation=representation,
         conditions=conditions,
         normaliser=normaliser,
@@ -169,7 +161,7 @@ def _conditions(
         return new
     wanted = new.to_values()
     if speech is not None:
-        wanted["features"] = feature_values(speech.extractor, speech.settings)
+        wanted["features"] = feature_values(speech)
     check_conditions(config.start_from, start.conditions.to_values(), wanted)
     if start.state_process is not None and not config.state:
         raise ConfigError(f"start_from: {config.start_from} has state: true, this run none")
@@ -208,7 +200,7 @@ def _makers(
 
 def _encoded(
     corpus: Corpus, paired: VariantArrays, alone: VariantArrays
-) -> Sequence[Sequence[VariantArray]]:
+) -> Sequence[Sequence[Array]]:
     """Return arrays of the recordings and of unpaired motion; on disk, missing ones are made."""
     if corpus.is_in_memory:
         both = (paired, corpus.read), (alone, corpus.unpaired)
@@ -220,60 +212,37 @@ def _encoded(
 def _speech(
     config: DiffusionConfig,
     corpus: Corpus,
-    motion: Sequence[VariantArray],
+    motion: Sequence[Array],
     speech: SpeechArrays | None,
-    fitted: SpeechConditioner | None,
-) -> tuple[SpeechConditioner | None, list[Frames], list[StoredArray]]:
-    """Return a conditioner, the features (S, T) of each phase, and their arrays on disk.
+    known: SpeechConditioner | None,
+) -> tuple[SpeechConditioner | None, Sequence[Array]]:
+    """Return a conditioner, and the arrays of the speech of each phase.
 
     Args:
         config: of the run.
         corpus: of the run.
         motion: arrays of its recordings.
         speech: extracts features; None for a model without speech input.
-        fitted: conditioner of the model to start from, which is kept; None fits one.
+        known: see `SpeechArrays.fit`.
     """
     if speech is None:
-        return None, [], []
-    if corpus.is_in_memory:
-        items = [item for item, _ in corpus.phases]
-        lengths = [motion.n_frames for _, motion in corpus.phases]
-        about = speech.extractor, speech.fps, speech.settings
-        conditioner, values = extract_features(items, lengths, *about, fitted)
-        return conditioner, [torch.from_numpy(features.T) for features in values], []
+        return None, []
     phases = [
         phase_item(item, number, start)
         for item, array in zip(corpus.recordings.items, motion, strict=True)
         for number, start in enumerate(array.facts["starts"])
     ]
+    if corpus.is_in_memory:
+        held = speech.in_memory(phases)
+        return speech.fit([(array, 0, array.shape[0]) for array in held], known), held
     (spoken,) = stored_arrays(config.arrays_folder, [(speech, phases)], config.workers)
-    if fitted is None:
-        fitted = _fit_conditioner(speech, motion, spoken, corpus.recordings.excerpts or ())
-    lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
-    return fitted, [*stored_speech(spoken, fitted, lengths)], spoken
-
-
-def _fit_conditioner(
-    speech: SpeechArrays,
-    motion: Sequence[VariantArray],
-    spoken: Sequence[StoredArray],
-    excerpts: Sequence[Excerpt],
-) -> SpeechConditioner:
-    """Return a conditioner that is fitted to excerpts of the recordings.
-
-    Args:
-        speech: made `spoken`.
-        motion: arrays of the recordings.
-        spoken: arrays of the speech of their phases.
-        excerpts: in the order of the recordings.
-    """
     counts = [len(array.facts["lengths"]) for array in motion]
     clips = []
-    for excerpt in excerpts:
+    for excerpt in corpus.recordings.excerpts or ():
         first = spoken[sum(counts[: excerpt.index])]
         n_frames = min(first.shape[0], motion[excerpt.index].facts["lengths"][0])
-        clips.append(raw_speech(first, *excerpt.frames(speech.fps, n_frames)))
-    return fit_conditioner(clips, speech.extractor, speech.fps, speech.settings)
+        clips.append((first, *excerpt.frames(speech.fps, n_frames)))
+    return speech.fit(clips, known), spoken
 
 
 def _sampled(
@@ -320,10 +289,15 @@ def _fit_state(
     return StateProcess.fit(channels, recorded, fps, conditions.conditioner)
 
 
-def _fit_normaliser(
-    representation: DeltaRepresentation, motion: Sequence[np.ndarray], fps: float
+def _normaliser(
+    like: DiffusionModel | None,
+    representation: DeltaRepresentation,
+    motion: Sequence[np.ndarray],
+    fps: float,
 ) -> Normaliser:
-    """Return mean and scale of motion vectors (T, X), with the least scale of each number."""
+    """Return mean and scale of a model, or of motion vectors (T, X) with a least scale."""
+    if like is not None:
+        return like.normaliser
     floors = np.full(representation.n_features, 0.01)  # radians
     floors[representation.height_column] = 2e-3  # metres of the reference body
     if representation.makes_root:

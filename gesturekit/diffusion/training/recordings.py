@@ -179,8 +179,8 @@ class Corpus:
         return [phase for recording in self.read for phase in recording.phases]
 
 
-def read_recordings(config: DiffusionConfig, *, speech: bool, trial: bool = False) -> Recordings:
-    """Read the training items of a run; with `speech`, those that have speech too.
+def read_recordings(config: DiffusionConfig, *, trial: bool = False) -> Recordings:
+    """Read the training items of a run; with speech input, those that have speech too.
 
     Raises:
         CorpusError, ConfigError: see `load_training_data`.
@@ -188,7 +188,7 @@ def read_recordings(config: DiffusionConfig, *, speech: bool, trial: bool = Fals
     return load_recordings(
         config,
         config.parts,
-        speech=speech,
+        speech=config.features is not None,
         styles=config.styles is not None,
         check_styles=lambda styles: _check_handed(config, styles),
         others=lambda manifest: _unpaired(config, manifest),
@@ -196,9 +196,9 @@ def read_recordings(config: DiffusionConfig, *, speech: bool, trial: bool = Fals
     )
 
 
-def read_corpus(config: DiffusionConfig, *, speech: bool, trial: bool = False) -> Corpus:
+def read_corpus(config: DiffusionConfig, *, trial: bool = False) -> Corpus:
     """Read the recordings of a run with their events; see `read_recordings`."""
-    recordings = read_recordings(config, speech=speech, trial=trial)
+    recordings = read_recordings(config, trial=trial)
     motions, read = recordings.motions, []
     rig = UnpairedRig(config.corpus, _unpaired_corpus(config), dict(config.parts), motions[0])
     for i, item in enumerate(recordings.read):

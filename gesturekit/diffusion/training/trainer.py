@@ -36,15 +36,12 @@ from gesturekit.motion.rig_changes import can_be_mirrored
 from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.postprocess import smooth_motion
 from gesturekit.state.process import StateProcess
-from gesturekit.training.data.sources import describe_recordings, save_sources, unused_labels
-from gesturekit.training.data.start_model import widened
-from gesturekit.training.run.folder import Run
-from gesturekit.training.run.held_out import HeldOutMetrics
-from gesturekit.training.run.loop import Loop, last_losses, read_once
-from gesturekit.training.run.plan import Estimate, log_arrays, log_plan, quickest
-from gesturekit.training.run.session import Processes, prepare_device, session
+from gesturekit.training.origin import widened
 from gesturekit.training.run_config import UNIDENTIFIED
+from gesturekit.training.run_folder import Run
 from gesturekit.training.seeds import rng_for, seeded
+from gesturekit.training.session import Processes
+from gesturekit.training.trainer import BaseTrainer, Estimate, quickest, run_training
 from gesturekit.wording import counted, drawn, roughly
 
 log = logging.getLogger(__name__)
@@ -58,39 +55,8 @@ CALIBRATING_CLIPS, CALIBRATING_SECONDS = 8, 60.0
 
 
 def train(config: DiffusionConfig, *, resume: bool = False) -> Path:
-    """Train a diffusion model and save it.
-
-    Args:
-        config: settings of the run.
-        resume: continue from the last checkpoint in `config.out`.
-
-    Returns:
-        The model folder, `config.out / "model"`.
-
-    Raises:
-        ConfigError: `config.out` holds a run already (or none to resume), or no such device.
-        CorpusError: the corpus cannot be trained on.
-        ModelError: the loss or the weights became NaN or infinite.
-    """
-    with session(config, resume=resume) as (run, device, processes):
-        return Trainer(config, run, device, processes, resume=resume).run()
-
-
-def plan_training(config: DiffusionConfig) -> None:
-    """Log the plan of `train` and its estimated duration; see `training.run.plan`."""
-    device = str(prepare_device(config.device, config.threads))
-    log_plan(
-        config,
-        partial(load_training_data, config, device, trial=True),
-        partial(read_recordings, config, speech=config.features is not None, trial=True),
-        Trainer,
-    )
-
-
-def make_arrays(config: DiffusionConfig) -> None:
-    """Make the arrays of a corpus that is not held in memory; see `gesturekit.systems`."""
-    data = load_training_data(config, str(prepare_device(config.device, config.threads)))
-    log_arrays(config, data.stored is not None)
+    """Train a diffusion model and write it; see `run_training`."""
+    return run_training(Trainer, config, resume=resume)
 
 
 def learning_rate(training: TrainingConfig, update: int) -> float:
@@ -105,8 +71,14 @@ def learning_rate(training: TrainingConfig, update: int) -> float:
     return training.learning_rate * warm * training.decay**decays
 
 
-class Trainer:
+class Trainer(BaseTrainer):
     """A training run: its data, its network and its updates."""
+
+    config: DiffusionConfig
+    data: TrainingData
+    read_data = staticmethod(load_training_data)
+    load_data = staticmethod(TrainingData.load)
+    read_recordings = staticmethod(partial(read_recordings, trial=True))
 
     def __init__(
         self,
@@ -118,14 +90,8 @@ class Trainer:
         resume: bool,
         trial: bool = False,
     ) -> None:
-        self.config, self.folder, self.device, self.processes = config, run, device, processes
-        self.data = data = read_once(
-            run,
-            processes,
-            resume=resume,
-            read=lambda: load_training_data(config, str(device), trial=trial),
-            load=lambda folder: TrainingData.load(folder, config, str(device)),
-        )
+        super().__init__(config, run, device, processes, resume=resume, trial=trial)
+        data = self.data
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(data, config)
         self.normaliser = data.normaliser.to(device)
@@ -136,15 +102,11 @@ class Trainer:
             self.foot_velocity = FootVelocity(data.representation, feet, config.fps).to(device)
         if data.state_process is not None and config.training.state:
             self.state_distance = StateDistance(data.representation, data.state_process).to(device)
-        speech, styles = data.conditions.conditioner is not None, data.conditions.styles
-        self.held_out = HeldOutMetrics(config, run, speech=speech, styles=styles)
-        self.loop = Loop(config, run, processes, self.held_out)
         if processes.is_first:
             self._log_missing_parts()
-        self.unused = unused_labels(data.sources, styles)
         inputs = [name for name, c in data.conditions.columns.items() if c.stop > c.start]
         mode = f"from {' and '.join(inputs)}" if inputs else "no condition"
-        self.loop.announce(["diffusion", mode], config.updates, self._contents(), self.unused)
+        self.announce(["diffusion", mode], self._contents(), config.updates)
         self.network = self._network().to(device)
         # The weights of the final model.
         self.average = copy.deepcopy(self.network).eval() if config.training.ema else self.network
@@ -159,7 +121,7 @@ class Trainer:
             network.load_state_dict(widened(start, network, inputs.__contains__))
         return network
 
-    def run(self) -> Path:
+    def run(self) -> None:
         """Train all updates, or those that are left, and write the model."""
         stored: dict[str, Any] = {"network": self.network, "optimiser": self.optimiser}
         if self.config.training.ema:
@@ -183,9 +145,7 @@ class Trainer:
                     state = {name: trained.state_dict() for name, trained in stored.items()}
                     self.loop.save(step, self.network.parameters(), state)
         if self.processes.is_first:
-            self._finish()
-        self.processes.wait()
-        return self.folder.folder / "model"
+            self.finish(updates, self._model(self.average, self._calibrated()))
 
     def _update(self, update: int) -> Tensor:
         """Do one update on this process's share of the batch, and return the loss."""
@@ -311,7 +271,7 @@ class Trainer:
         """Return the model with this network and process of the state of movement."""
         training = self.config.training
         # Unpaired motion has no conditions but the state, just like windows with condition dropout.
-        unconditional = training.dropout_condition or self.data.seconds[1]
+        unconditional = training.dropout_condition or self.data.unpaired_seconds
         droppable = {
             "all": unconditional,
             "styles": training.dropout_style,
@@ -332,30 +292,18 @@ class Trainer:
             recorded_fps=self.data.recorded_fps,
         )
 
-    def _finish(self) -> None:
-        """Measure the model on held-out recordings and save it."""
-        config, folder = self.config, self.folder.folder / "model"
-        model = self._model(self.average, self._calibrated())
-        measured = self.held_out.measure(config.updates, model, keep=True)
-        model.network.cpu()
-        paired, unpaired = self.data.seconds
+    def about_data(self) -> dict[str, str]:
+        """Return what README.md says of the data beside the recordings, and of their use."""
+        config, data = self.config, self.data
         share = config.unpaired.share if config.unpaired is not None else 0.0
         windows = config.updates * config.training.batch * (1 - share)
-        notes = {
-            "Recordings": describe_recordings(self.data.sources, paired, config.fps),
+        count = drawn(windows * config.training.window / data.seconds)
+        unpaired = data.unpaired_seconds
+        return {
             "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
             "Not used": "; ".join(self.unused),
-            "Use of the recordings": "a second is drawn about "
-            + drawn(windows * config.training.window / paired),
-            "Began with": config.began_with,
-            "Training steps": str(config.updates),
-            "Last losses": last_losses(self.folder),
-            "Measured": measured,
+            "Use of the recordings": f"a second is drawn about {count}",
         }
-        notes = {name: text for name, text in notes.items() if text}
-        notes |= {str(key): str(value) for key, value in config.notes.items()}
-        model.save(folder, notes=notes)
-        save_sources(folder, self.data.sources)
 
     def _log_missing_parts(self) -> None:
         """Log in one line the features that training lacks if body parts cannot be identified."""
@@ -374,18 +322,15 @@ class Trainer:
     def _contents(self) -> list[str]:
         """Return a description of the training data for the log."""
         data, conditions = self.data, self.data.conditions
-        contents = [describe_recordings(data.sources, data.seconds[0], self.config.fps)]
-        if data.seconds[1]:
-            contents.append(f"{roughly(data.seconds[1])} of unpaired motion")
+        contents = []
+        if data.unpaired_seconds:
+            contents.append(f"{roughly(data.unpaired_seconds)} of unpaired motion")
         if len(data.recordings) > len(data.sources):
             contents.append(f"{counted(len(data.recordings), 'sequence')} with their variants")
         speech = conditions.columns["speech"].stop
         counts = {"speech feature": speech, "event": len(conditions.events)}
         counts["style"] = len(conditions.styles)
-        contents += [counted(count, noun) for noun, count in counts.items() if count]
-        representation = data.representation
-        joints = counted(representation.skeleton.n_joints, "joint")
-        return [*contents, f"{len(representation.joints)} of {joints} modelled"]
+        return contents + [counted(count, noun) for noun, count in counts.items() if count]
 
     def estimate(self) -> Estimate:
         """Estimate the cost of the training from a few updates.
@@ -402,4 +347,4 @@ class Trainer:
         raw = 0.0
         if conditions.conditioner is not None:
             raw = number * (conditions.conditioner.extractor.dim + 1)
-        return Estimate(self.config.updates * update, self.held_out.seconds, (motion + raw, motion))
+        return Estimate(self.config.updates * update, (motion + raw, motion))

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -26,20 +26,21 @@ from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.state.channels import StateChannels
-from gesturekit.training.data.arrays import ArrayFolder, Frames, StoredArray, StoredFrames
-from gesturekit.training.data.features import (
-    conditioner_values,
-    load_conditioner,
-    stored_speech,
-)
-from gesturekit.training.data.sources import TrainedSegment, from_values, to_values
-from gesturekit.training.data.start_model import read_start, start_tensors
+from gesturekit.training.arrays import Array, ArrayFolder, Frames, StoredFrames
+from gesturekit.training.features import conditioner_values, load_conditioner, speech_frames
 from gesturekit.training.model_folder import (
     fitted_tensors,
     load_data,
     read_speakers,
     rig_values,
     save_data,
+)
+from gesturekit.training.origin import (
+    TrainedSegment,
+    from_values,
+    read_start,
+    start_tensors,
+    to_values,
 )
 from gesturekit.training.seeds import rng_for
 
@@ -148,99 +149,109 @@ def level_sigmas(motion: Tensor, levels: int) -> Tensor:
     return torch.stack(sigmas)
 
 
+class CorpusFrames(NamedTuple):
+    """Channels of a corpus, in memory or on disk.
+
+    Attributes:
+        motion: (D, T) normalised motion vectors of each recording.
+        speech: (S, T) features of each recording.
+        passive: (X, T) passive channels of each recording.
+        unpaired: (S, T) features of speech without motion.
+    """
+
+    motion: Sequence[Frames]
+    speech: Sequence[Frames]
+    passive: Sequence[Frames]
+    unpaired: Sequence[Frames]
+
+    @classmethod
+    def of(
+        cls,
+        arrays: Mapping[str, Sequence[Array]],
+        normaliser: Normaliser,
+        conditioner: SpeechConditioner | None,
+    ) -> CorpusFrames:
+        """Return the channels of arrays; none of them is read yet.
+
+        Recordings are as long as the shorter of motion and speech.
+
+        Args:
+            arrays: `motion` (T, D + X), `speech` and `unpaired` speech, see `SpeechArrays`.
+            normaliser: of motion vectors.
+            conditioner: of speech features; None without speech input.
+        """
+        width, motion, spoken = len(normaliser.mean), arrays["motion"], list[Frames]()
+        lengths = [array.shape[0] for array in motion]
+        if conditioner is not None:
+            lengths = [min(n, a.shape[0]) for n, a in zip(lengths, arrays["speech"], strict=True)]
+            everything = [*arrays["speech"], *arrays["unpaired"]]
+            all_lengths = [*lengths, *(array.shape[0] for array in arrays["unpaired"])]
+            spoken += speech_frames(everything, conditioner, all_lengths)
+        else:
+            spoken += [torch.empty(0, n_frames) for n_frames in lengths]
+
+        def vectors(rows: np.ndarray) -> Tensor:
+            values = torch.from_numpy(np.ascontiguousarray(rows[:, :width]))
+            return normaliser.forward(values.T[None])[0]
+
+        def passive(rows: np.ndarray) -> Tensor:
+            return transposed(rows[:, width:])
+
+        pairs = list(zip(motion, lengths, strict=True))
+        return cls(
+            [StoredFrames(array, (width, n), vectors) for array, n in pairs],
+            spoken[: len(motion)],
+            [StoredFrames(array, (array.shape[1] - width, n), passive) for array, n in pairs],
+            spoken[len(motion) :],
+        )
+
+    def in_memory(self) -> CorpusFrames:
+        """Return the same channels as tensors."""
+        return CorpusFrames(*([frames[:, :] for frames in channels] for channels in self))
+
+
 def paired_sequences(
     config: MultiresConfig,
     labels: Sequence[Labels],
-    motions: Sequence[Frames],
-    speeches: Sequence[Frames],
-    passives: Sequence[Frames],
-    sigma: Tensor | None = None,
+    frames: CorpusFrames,
+    sigmas: Sequence[Tensor | None],
 ) -> tuple[PairedSequence, ...]:
-    """Return recordings as long as the shorter of motion and speech; see `PairedSequence`."""
-    paired = []
-    for label, motion, speech, passive in zip(labels, motions, speeches, passives, strict=True):
-        n_frames = min(motion.shape[1], speech.shape[1])
-        name, style, speaker, take = label
-        sequence = PairedSequence.make(
+    """Return the recordings with their labels and noise scales (L,); None computes these."""
+    channels = zip(labels, frames.motion, frames.speech, frames.passive, sigmas, strict=True)
+    return tuple(
+        PairedSequence.make(
             name,
-            _first(motion, n_frames),
-            _first(speech, n_frames),
+            motion,
+            speech,
             config.network.levels,
             config.seed,
             full_noise=config.z_star == "full",
             sigma=sigma,
-            passive=_first(passive, n_frames),
+            passive=passive,
             style=style,
             speaker=speaker,
             take=take,
         )
-        paired.append(sequence)
-    return tuple(paired)
-
-
-def _first(frames: Frames, n_frames: int) -> Frames:
-    """Return the first frames (C, n_frames)."""
-    if frames.shape[1] == n_frames:
-        return frames
-    if isinstance(frames, StoredFrames):
-        return frames.first(n_frames)
-    return frames[:, :n_frames].contiguous()
-
-
-def stored_motion(array: StoredArray, normaliser: Normaliser) -> tuple[StoredFrames, StoredFrames]:
-    """Return normalised motion (D, T) and passive channels (X, T) of an array (T, D + X)."""
-    width, (n_frames, columns) = len(normaliser.mean), array.shape
-
-    def motion(rows: np.ndarray) -> Tensor:
-        return normaliser.forward(transposed(rows[:, :width])[None])[0]
-
-    def passive(rows: np.ndarray) -> Tensor:
-        return transposed(rows[:, width:])
-
-    return (
-        StoredFrames(array, (width, n_frames), motion),
-        StoredFrames(array, (columns - width, n_frames), passive),
+        for (name, style, speaker, take), motion, speech, passive, sigma in channels
     )
+
+
+def trained_conditions(
+    config: MultiresConfig,
+    representation: MultiresRepresentation,
+    conditioner: SpeechConditioner | None,
+    styles: Sequence[str],
+) -> Conditions:
+    """Return the inputs of a run's model beside noise."""
+    state = None
+    if config.state:
+        state = StateChannels.find(representation.skeleton, representation.joints)
+    return Conditions(conditioner, tuple(styles), config.residual, state)
 
 
 def transposed(rows: np.ndarray) -> Tensor:
     """Return (T, C) as a contiguous (C, T) tensor."""
     return torch.from_numpy(np.ascontiguousarray(rows.T))
-
-
-def stored_sequences(
-    config: MultiresConfig,
-    keys: Mapping[str, Sequence[str]],
-    labels: Sequence[Labels],
-    normaliser: Normaliser,
-    conditioner: SpeechConditioner | None,
-    sigma: Tensor,
-) -> tuple[tuple[PairedSequence, ...], tuple[StoredFrames, ...]]:
-    """Return recordings on disk, and speech without motion (S, T); neither is read yet.
-
-    Args:
-        config: of the run.
-        keys: names of the arrays in their folder, of `motion`, `speech` and `unpaired` speech.
-        labels: of each recording.
-        normaliser: of motion vectors.
-        conditioner: of speech features; None without speech input.
-        sigma: (L,) noise scales of all sequences.
-
-    Raises:
-        ConfigError: an array is missing or not whole.
-    """
-    folder = ArrayFolder(config.arrays_folder)
-    arrays = {kind: folder.find_all(names) for kind, names in keys.items()}
-    lengths = [array.shape[0] for array in arrays["motion"]]
-    speeches: Sequence[Frames] = [torch.empty(0, n_frames) for n_frames in lengths]
-    unpaired: Sequence[StoredFrames] = ()
-    if conditioner is not None:
-        speeches = stored_speech(arrays["speech"], conditioner, lengths)
-        unpaired = stored_speech(arrays["unpaired"], conditioner)
-    pairs = [stored_motion(array, normaliser) for array in arrays["motion"]]
-    motions, passives = zip(*pairs)
-    paired = paired_sequences(config, labels, motions, speeches, passives, sigma)
-    return paired, tuple(unpaired)
 
 
 @dataclass(frozen=True)
@@ -252,9 +263,8 @@ class TrainingData:
         unpaired: (S, T) speech without motion; that of `paired` if the corpus has none.
         silence: (S, T) speech features of silence, as long as the longest motion of a step.
         window: frames of a training window; None for whole sequences.
-        conditioner: converts waves to speech features; None without speech input.
-        styles: names of the styles, in alphabetical order; empty outside label mode. A model to
-            start from may have more styles than the recordings.
+        conditions: inputs of the model beside noise. A model to start from may have more styles
+            than the recordings.
         speakers: reference skeleton of each named speaker.
         sources: recordings from which `paired` was read.
         recorded_fps: most common frame rate of the recordings.
@@ -269,8 +279,7 @@ class TrainingData:
     silence: Tensor
     window: int | None
     representation: MultiresRepresentation
-    conditioner: SpeechConditioner | None
-    styles: tuple[str, ...]
+    conditions: Conditions
     normaliser: Normaliser
     speakers: dict[str, Skeleton]
     sources: tuple[TrainedSegment, ...]
@@ -303,38 +312,44 @@ class TrainingData:
         return tuple(self.paired[i].cut(start, stop) for i, start, stop in self.sampled)
 
     def save(self, folder: Path) -> None:
-        """Write the data into a folder, from which a resumed run loads it."""
-        tensors: dict[str, Any] = {
+        """Write the data into a folder, from which a resumed run loads it.
+
+        Of recordings on disk, the names of their arrays are written.
+        """
+        unpaired = () if self.unpaired_is_paired else self.unpaired
+        channels: dict[str, list[Any]] = {
+            **{name: [getattr(s, name) for s in self.paired] for name in CorpusFrames._fields[:3]},
+            "unpaired": list(unpaired),
+        }
+        tensors = {
             "silence": self.silence,
-            **fitted_tensors(self.normaliser, self.conditioner, None),
+            "sigma": torch.stack([sequence.sigma for sequence in self.paired]),
+            **fitted_tensors(self.normaliser, self.conditions.conditioner, None),
             **start_tensors(self.start),
         }
-        unpaired = () if self.unpaired_is_paired else self.unpaired
         stored = None
         if self.is_stored:
-            tensors["sigma"] = self.paired[0].sigma
-            stored = {
-                "motion": [_key(sequence.motion) for sequence in self.paired],
-                "speech": [_key(sequence.speech) for sequence in self.paired if self.n_speech],
-                "unpaired": [_key(clip) for clip in unpaired if self.n_speech],
-            }
+            arrays = ("motion", "speech", "unpaired") if self.n_speech else ("motion",)
+            stored = {name: [frames.key for frames in channels[name]] for name in arrays}
         else:
-            for i, sequence in enumerate(self.paired):
-                for name in PairedSequence.TENSORS:
-                    tensors[f"paired.{i}.{name}"] = getattr(sequence, name).contiguous()
-            tensors |= {f"unpaired.{i}": clip for i, clip in enumerate(unpaired)}
+            tensors |= {
+                f"{name}.{i}": frames.contiguous()
+                for name, recordings in channels.items()
+                for i, frames in enumerate(recordings)
+            }
+        conditioner, passive = self.conditions.conditioner, self.passive
         about = {
             "names": [sequence.name for sequence in self.paired],
-            "unpaired": len(unpaired),
-            "features": None if self.conditioner is None else conditioner_values(self.conditioner),
-            "styles": self.styles,
             "style_of": [sequence.style for sequence in self.paired],
             "speaker_of": [sequence.speaker for sequence in self.paired],
             "take_of": [sequence.take for sequence in self.paired],
+            "unpaired": len(unpaired),
+            "features": None if conditioner is None else conditioner_values(conditioner),
+            "styles": self.conditions.styles,
             "sources": to_values(self.sources),
             "window": self.window,
             "recorded_fps": self.recorded_fps,
-            "passive": [self.passive.joints, self.passive.expressions],
+            "passive": [passive.joints, passive.expressions],
             "spoken": self.spoken,
             "sampled": self.sampled,
             "stored": stored,
@@ -353,6 +368,7 @@ class TrainingData:
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
             skeleton = Skeleton.from_json(about["skeleton"])
+            representation = MultiresRepresentation.from_json(skeleton, about["motion"])
             normaliser = Normaliser(tensors["motion.mean"], tensors["motion.scale"])
             conditioner = None
             if config.features is not None:
@@ -361,31 +377,27 @@ class TrainingData:
                     about["features"], tensors, config.fps, places, device
                 )
             labels = list(zip(*(about[key] for key in _LABELS), strict=True))
-            unpaired: Sequence[Frames]
             if about["stored"] is None:
-                curves = (
-                    {part: tensors[f"paired.{i}.{part}"] for part in PairedSequence.TENSORS}
-                    for i in range(len(labels))
+                counts = (*[len(labels)] * 3, about["unpaired"])
+                frames = CorpusFrames(
+                    *(
+                        [tensors[f"{name}.{i}"] for i in range(count)]
+                        for name, count in zip(CorpusFrames._fields, counts, strict=True)
+                    )
                 )
-                paired = tuple(
-                    PairedSequence(name=name, style=style, speaker=speaker, take=take, **frames)
-                    for (name, style, speaker, take), frames in zip(labels, curves, strict=True)
-                )
-                unpaired = [tensors[f"unpaired.{i}"] for i in range(about["unpaired"])]
             else:
-                paired, unpaired = stored_sequences(
-                    config, about["stored"], labels, normaliser, conditioner, tensors["sigma"]
-                )
+                find = ArrayFolder(config.arrays_folder).find_all
+                arrays = {name: find(keys) for name, keys in about["stored"].items()}
+                frames = CorpusFrames.of(arrays, normaliser, conditioner)
             joints, expressions = about["passive"]
             sampled = about["sampled"]
             return cls(
-                paired=paired,
-                unpaired=tuple(unpaired) or tuple(sequence.speech for sequence in paired),
+                paired=paired_sequences(config, labels, frames, list(tensors["sigma"])),
+                unpaired=tuple(frames.unpaired or frames.speech),
                 silence=tensors["silence"],
                 window=about["window"],
-                representation=MultiresRepresentation.from_json(skeleton, about["motion"]),
-                conditioner=conditioner,
-                styles=tuple(about["styles"]),
+                representation=representation,
+                conditions=trained_conditions(config, representation, conditioner, about["styles"]),
                 normaliser=normaliser,
                 speakers=read_speakers(about),
                 sources=from_values(about["sources"]),
@@ -403,16 +415,6 @@ class TrainingData:
         """Return S, the number of speech features; 0 without speech input."""
         return self.silence.shape[0]
 
-    def conditions(self, config: MultiresConfig) -> Conditions:
-        """Return the inputs of the model beside noise."""
-        state = self.state_channels if config.state else None
-        return Conditions(self.conditioner, self.styles, config.residual, state)
-
-    @cached_property
-    def state_channels(self) -> StateChannels:
-        """Return the channels of the state of movement of the rig."""
-        return StateChannels.find(self.representation.skeleton, self.representation.joints)
-
     @property
     def own_lengths(self) -> bool:
         """Return True if random steps have the lengths of unpaired clips, not of recordings."""
@@ -427,7 +429,7 @@ class TrainingData:
 
     def style_shares(self, sequences: Sequence[PairedSequence]) -> Tensor:
         """Return how often a recording of each style (K,) is drawn from these sequences."""
-        shares = torch.zeros(len(self.styles))
+        shares = torch.zeros(len(self.conditions.styles))
         for sequence in sequences:
             shares[sequence.style] += self.draw_weight(sequence)
         return shares
@@ -467,9 +469,3 @@ class TrainingData:
             pieces.append(clip[:, start : start + missing])
             missing -= pieces[-1].shape[-1]
         return torch.cat(pieces, dim=-1)
-
-
-def _key(frames: Frames) -> str:
-    """Return the name of the array of a recording on disk."""
-    assert isinstance(frames, StoredFrames)
-    return frames.array.path.stem

@@ -1,11 +1,15 @@
-"""Reading of a corpus into the training data of a multires run, in memory or as arrays on disk."""
+"""Reading of a corpus into the training data of a multires run, in memory or as arrays on disk.
+
+A model to start from (`start_from`) is checked against the run.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,34 +24,24 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, find_parts, is_upper_body, unidentified
 from gesturekit.motion.root_path import heading
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.networks import modulated_blocks
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.multires.training.data import (
+    CorpusFrames,
     Cut,
-    Labels,
-    PairedSequence,
     TrainingData,
     level_sigmas,
     paired_sequences,
-    stored_motion,
-    stored_sequences,
+    trained_conditions,
     transposed,
 )
-from gesturekit.multires.training.start import (
-    check_styles,
-    load_start,
-    representation_on_bones_of,
-)
-from gesturekit.training.data.arrays import Frames, Maker, stored_arrays
-from gesturekit.training.data.features import (
-    SpeechArrays,
-    extract_features,
-    fit_conditioner,
-    raw_speech,
-)
-from gesturekit.training.data.sources import describe_recordings
+from gesturekit.training.arrays import Array, ArrayInMemory, Maker, stored_arrays
+from gesturekit.training.config import to_dict
+from gesturekit.training.features import SpeechArrays, conditioner_values, feature_values
+from gesturekit.training.origin import check_conditions, check_rig, check_settings, model_of
 from gesturekit.training.recordings import Recordings, Rig, load_recordings, systematic_sample
 from gesturekit.training.run_config import LEGLESS, UNIDENTIFIED
 from gesturekit.wording import counted, roughly
@@ -55,21 +49,11 @@ from gesturekit.wording import counted, roughly
 log = logging.getLogger(__name__)
 
 
-class _Corpus(NamedTuple):
-    """Recordings and speech of a corpus, as in `TrainingData`, and the frame rates of its files."""
-
-    conditioner: SpeechConditioner | None
-    paired: tuple[PairedSequence, ...]
-    unpaired: Sequence[Frames]
-    rates: Sequence[float]
-    sampled: tuple[Cut, ...] | None = None
-
-
 def load_training_data(
     config: MultiresConfig, device: str = "cpu", *, trial: bool = False
 ) -> TrainingData:
     """Read the corpus of a run, or in a trial an excerpt of it; extract features on a device, and
-    normalise.
+    normalise. The data of a long corpus stay on disk, and statistics are those of a sample.
 
     Raises:
         ConfigError: settings that the recordings do not allow, or a model in `start_from` with
@@ -79,40 +63,43 @@ def load_training_data(
             cannot be read.
     """
     # Wrong extractor settings are reported before any file is read.
-    extractor = None if config.features is None else config.features.extractor(device)
-    start = load_start(config, extractor)
+    features = config.features
+    speech = None if features is None else SpeechArrays.open(features, config.fps, device)
+    start = load_start(config, speech)
     parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
-    recordings = _recordings(config, start, parts, trial)
+    recordings = read_recordings(config, start, parts, trial=trial)
     motions = [motion.resample(config.fps) for motion in recordings.motions]
     representation = _representation(config, motions, start)
-    vectors = [
-        encoded(representation, motion, config.face_forward, f"{config.corpus}: item {item.id}")
-        for item, motion in zip(recordings.read, motions, strict=True)
-    ]
-    normaliser = _normaliser(config, vectors, representation, start)
     passive = PassiveChannels()
     if config.state:
         passive = PassiveChannels.find(motions, representation.joints)
-    fitted = None if start is None else start.conditions.conditioner
+    rig = recordings.rig(config, parts)
+    maker = MotionArrays(rig, representation, passive, config.fps, config.face_forward)
+    made = [maker.encode(*pair) for pair in zip(recordings.read, motions, strict=True)]
+    vectors = [rows[:, : representation.n_features] for rows in made]
+    normaliser = _normaliser(config, vectors, representation, start)
+    known = None if start is None else start.conditions.conditioner
     if recordings.excerpts is None:
-        passives = [passive.encode(motion) for motion in motions]
-        corpus = _in_memory(config, recordings, vectors, passives, normaliser, extractor, fitted)
+        motion = [
+            ArrayInMemory(rows, {"id": item.id, "fps": rate})
+            for rows, item, rate in zip(made, recordings.items, recordings.rates, strict=True)
+        ]
+        corpus = _in_memory(config, recordings, motion, normaliser, speech, known)
     else:
-        rig = recordings.rig(config, parts)
-        motion = MotionArrays(rig, representation, passive, config.fps, config.face_forward)
-        makers: list[Maker] = [motion]
-        if extractor is not None and config.features is not None:
-            makers.append(SpeechArrays(config.features, config.fps, device, extractor))
-        del motions, vectors  # the sample is read again, from the arrays
-        corpus = _on_disk(config, recordings, makers, normaliser, extractor, fitted)
+        del motions, made, vectors  # the sample is read again, from the arrays
+        corpus = _on_disk(config, recordings, maker, normaliser, speech, known)
+    labels = [
+        (item.id, style, item.speaker, item.take)
+        for item, style in zip(recordings.items, recordings.style_of, strict=True)
+    ]
+    frames, conditioner = corpus.frames, corpus.conditioner
     return TrainingData(
-        paired=corpus.paired,
-        unpaired=tuple(corpus.unpaired) or tuple(sequence.speech for sequence in corpus.paired),
-        silence=_silence(config, corpus),
+        paired=paired_sequences(config, labels, frames, corpus.sigmas),
+        unpaired=tuple(frames.unpaired or frames.speech),
+        silence=_silence(config, frames, conditioner),
         window=_window(config),
         representation=representation,
-        conditioner=corpus.conditioner,
-        styles=recordings.styles,
+        conditions=trained_conditions(config, representation, conditioner, recordings.styles),
         normaliser=normaliser,
         speakers=recordings.speakers,
         sources=recordings.sources(corpus.rates),
@@ -124,13 +111,17 @@ def load_training_data(
     )
 
 
-def _recordings(
-    config: MultiresConfig, start: MultiresModel | None, parts: dict[str, str], trial: bool
+def read_recordings(
+    config: MultiresConfig,
+    start: MultiresModel | None = None,
+    parts: Mapping[str, str] | None = None,
+    *,
+    trial: bool = False,
 ) -> Recordings:
     """Read the recordings; a model to start from has their styles, and maybe more."""
     recordings = load_recordings(
         config,
-        parts,
+        config.parts if parts is None else parts,
         speech=config.features is not None,
         styles=config.styles is not None,
         check_styles=lambda styles: check_styles(start, config, styles),
@@ -177,68 +168,6 @@ def _normaliser(
     return Normaliser(torch.zeros(width), torch.ones(width))
 
 
-def encoded(
-    representation: MultiresRepresentation, motion: Motion, face_forward: bool, name: str
-) -> np.ndarray:
-    """Return a recording as motion vectors (T, D), turned to its mean heading if `face_forward`.
-
-    Raises:
-        CorpusError: the motion cannot be encoded; the error begins with `name`.
-    """
-    try:
-        return representation.encode(motion, turn=-heading(motion) if face_forward else 0.0)
-    except ValueError as error:
-        raise CorpusError(f"{name}: {error}") from None
-
-
-def _labels(recordings: Recordings) -> list[Labels]:
-    """Return the labels of each item."""
-    return [
-        (item.id, style, item.speaker, item.take)
-        for item, style in zip(recordings.items, recordings.style_of, strict=True)
-    ]
-
-
-def _in_memory(
-    config: MultiresConfig,
-    recordings: Recordings,
-    vectors: Sequence[np.ndarray],
-    passives: Sequence[Tensor],
-    normaliser: Normaliser,
-    extractor: af.Extractor | None,
-    fitted: SpeechConditioner | None,
-) -> _Corpus:
-    """Return all recordings and unpaired speech in memory.
-
-    Args:
-        config: of the run.
-        recordings: of the corpus.
-        vectors: motion vectors (T, D) of each recording.
-        passives: passive channels (X, T) of each.
-        normaliser: of motion vectors.
-        extractor: of speech features; None without speech input.
-        fitted: conditioner of a model to start from; None to fit one.
-    """
-    items, others = recordings.items, recordings.unpaired
-    conditioner, unpaired = None, list[Tensor]()
-    speeches = [torch.empty(0, len(vector)) for vector in vectors]
-    if extractor is not None and config.features is not None:
-        most = [*map(len, vectors), *[None] * len(others)]
-        conditioner, features = extract_features(
-            [*items, *others], most, extractor, config.fps, config.features, fitted
-        )
-        # Each array is released as soon as it is converted: features of a large corpus fill memory.
-        features.reverse()
-        tensors = [transposed(features.pop()) for _ in range(len(features))]
-        speeches, unpaired = tensors[: len(items)], tensors[len(items) :]
-    motions = [
-        normaliser.forward(torch.from_numpy(vector[: speech.shape[1]].T).float()[None])[0]
-        for vector, speech in zip(vectors, speeches, strict=True)
-    ]
-    paired = paired_sequences(config, _labels(recordings), motions, speeches, passives)
-    return _Corpus(conditioner, paired, unpaired, recordings.rates)
-
-
 @dataclass(frozen=True)
 class MotionArrays:
     """Makes arrays (T, D + X): motion vectors, not normalised, and passive channels.
@@ -271,66 +200,96 @@ class MotionArrays:
     def make(self, item: Item) -> tuple[np.ndarray, dict[str, Any]]:
         """Encode the motion of an item."""
         recorded = self.rig.load(item)
-        motion = recorded.resample(self.fps)
-        vectors = encoded(self.representation, motion, self.face_forward, f"item {item.id}")
-        passive = self.passive.encode(motion).numpy().T
-        return np.concatenate([vectors, passive], axis=1), {"id": item.id, "fps": recorded.fps}
+        rows = self.encode(item, recorded.resample(self.fps))
+        return rows, {"id": item.id, "fps": recorded.fps}
+
+    def encode(self, item: Item, motion: Motion) -> np.ndarray:
+        """Return the rows (T, D + X) float64 of a motion at `fps`.
+
+        Raises:
+            CorpusError: the motion cannot be encoded.
+        """
+        turn = -heading(motion) if self.face_forward else 0.0
+        try:
+            vectors = self.representation.encode(motion, turn=turn)
+        except ValueError as error:
+            raise CorpusError(f"{self.rig.corpus}: item {item.id}: {error}") from None
+        return np.concatenate([vectors, self.passive.encode(motion).numpy().T], axis=1)
+
+
+class _Corpus(NamedTuple):
+    """Channels of a corpus, and what goes with them.
+
+    Attributes:
+        frames: in memory or on disk.
+        conditioner: of its speech features; None without speech input.
+        sigmas: (L,) noise scales of each recording; None to compute them.
+        rates: frame rate of each recording's file.
+        sampled: see `TrainingData`.
+    """
+
+    frames: CorpusFrames
+    conditioner: SpeechConditioner | None
+    sigmas: Sequence[Tensor | None]
+    rates: Sequence[float]
+    sampled: tuple[Cut, ...] | None = None
+
+
+def _in_memory(
+    config: MultiresConfig,
+    recordings: Recordings,
+    motion: Sequence[ArrayInMemory],
+    normaliser: Normaliser,
+    speech: SpeechArrays | None,
+    known: SpeechConditioner | None,
+) -> _Corpus:
+    """Return all recordings and unpaired speech in memory; `known` as in `SpeechArrays.fit`."""
+    arrays: dict[str, Sequence[Array]] = {"motion": motion}
+    conditioner = None
+    if speech is not None:
+        made = speech.in_memory([*recordings.items, *recordings.unpaired])
+        conditioner = speech.fit([(array, 0, array.shape[0]) for array in made], known)
+        arrays |= {"speech": made[: len(motion)], "unpaired": made[len(motion) :]}
+    frames = CorpusFrames.of(arrays, normaliser, conditioner).in_memory()
+    return _Corpus(frames, conditioner, [None] * len(motion), recordings.rates)
 
 
 def _on_disk(
     config: MultiresConfig,
     recordings: Recordings,
-    makers: Sequence[Maker],
+    maker: MotionArrays,
     normaliser: Normaliser,
-    extractor: af.Extractor | None,
-    fitted: SpeechConditioner | None,
+    speech: SpeechArrays | None,
+    known: SpeechConditioner | None,
 ) -> _Corpus:
-    """Return recordings and unpaired speech on disk; arrays that are missing are made.
-
-    Args:
-        config: of the run.
-        recordings: items, and the sample that was read.
-        makers: of the arrays of motion, and of speech if it is an input.
-        normaliser: of motion vectors.
-        extractor: of speech features; None without speech input.
-        fitted: conditioner of a model to start from; None to fit one to the sample.
-    """
+    """Return recordings and unpaired speech on disk; arrays that are missing are made."""
     items, others = recordings.items, recordings.unpaired
-    wanted = [(maker, items) for maker in makers] + [(maker, others) for maker in makers[1:]]
-    motion, *rest = stored_arrays(config.arrays_folder, wanted, config.workers)
-    speech, alone = rest or ([], [])
-    lengths = [array.shape[0] for array in motion]
-    if speech:
-        lengths = [min(n, array.shape[0]) for n, array in zip(lengths, speech, strict=True)]
+    wanted: list[tuple[Maker, Sequence[Item]]] = [(maker, items)]
+    wanted += [] if speech is None else [(speech, items), (speech, others)]
+    made = stored_arrays(config.arrays_folder, wanted, config.workers)
+    arrays = dict(zip(("motion", "speech", "unpaired"), made, strict=False))
+    lengths = [array.shape[0] for array in arrays["motion"]]
+    if speech is not None:
+        lengths = [min(n, a.shape[0]) for n, a in zip(lengths, arrays["speech"], strict=True)]
     cuts = tuple(
         (excerpt.index, *excerpt.frames(config.fps, lengths[excerpt.index]))
         for excerpt in recordings.excerpts or ()
     )
-    conditioner = fitted
-    if conditioner is None and extractor is not None and config.features is not None:
-        spoken = [(speech[i], start, stop) for i, start, stop in cuts]
+    conditioner = None
+    if speech is not None:
+        clips = [(arrays["speech"][i], start, stop) for i, start, stop in cuts]
         for excerpt in systematic_sample(others, 60 * config.in_memory):
-            array = alone[excerpt.index]
-            spoken.append((array, *excerpt.frames(config.fps, array.shape[0])))
-        clips = [raw_speech(*excerpt) for excerpt in spoken]
-        conditioner = fit_conditioner(clips, extractor, config.fps, config.features)
+            array = arrays["unpaired"][excerpt.index]
+            clips.append((array, *excerpt.frames(config.fps, array.shape[0])))
+        conditioner = speech.fit(clips, known)
+    frames = CorpusFrames.of(arrays, normaliser, conditioner)
     sigmas = [
-        level_sigmas(
-            stored_motion(motion[i], normaliser)[0][:, start:stop][None], config.network.levels
-        )
+        level_sigmas(frames.motion[i][:, start:stop][None], config.network.levels)
         for i, start, stop in cuts
     ]
-    arrays = {"motion": motion, "speech": speech, "unpaired": alone}
-    paired, unpaired = stored_sequences(
-        config,
-        {kind: [array.path.stem for array in made] for kind, made in arrays.items()},
-        _labels(recordings),
-        normaliser,
-        conditioner,
-        torch.stack(sigmas).mean(dim=0),
-    )
-    rates = [array.facts["fps"] for array in motion]
-    return _Corpus(conditioner, paired, unpaired, rates, cuts)
+    shared = torch.stack(sigmas).mean(dim=0)
+    rates = [array.facts["fps"] for array in arrays["motion"]]
+    return _Corpus(frames, conditioner, [shared] * len(items), rates, cuts)
 
 
 def _window(config: MultiresConfig) -> int | None:
@@ -339,23 +298,25 @@ def _window(config: MultiresConfig) -> int | None:
     return None if window is None else max(config.network.levels, round(window * config.fps))
 
 
-def _silence(config: MultiresConfig, corpus: _Corpus) -> Tensor:
+def _silence(
+    config: MultiresConfig, frames: CorpusFrames, conditioner: SpeechConditioner | None
+) -> Tensor:
     """Return the features (S, T) of silence as long as the longest motion of a step.
 
     Raises:
         ConfigError: the longest recording has too few frames.
     """
-    longest = max(sequence.n_frames for sequence in corpus.paired)
+    longest = max(motion.shape[-1] for motion in frames.motion)
     if af.level_lengths(longest, config.network.levels)[0] < 2:
         raise ConfigError(
             f"network.levels: {config.network.levels} levels leave one frame of the longest "
             f"recording ({longest / config.fps:.1f} s) at the coarsest; use fewer levels"
         )
-    longest = max(longest, *(clip.shape[-1] for clip in corpus.unpaired), 0)
+    longest = max(longest, *(clip.shape[-1] for clip in frames.unpaired), 0)
     n_frames = (_window(config) or longest) + 2 * config.random_margin
-    if corpus.conditioner is None:
+    if conditioner is None:
         return torch.empty(0, n_frames)
-    return transposed(corpus.conditioner.silence(n_frames))
+    return transposed(conditioner.silence(n_frames))
 
 
 def adapted(config: MultiresConfig, skeleton: Skeleton, *, quiet: bool) -> MultiresConfig:
@@ -401,15 +362,116 @@ def warn_of_speech(config: MultiresConfig, data: TrainingData) -> None:
 
 def described(config: MultiresConfig, data: TrainingData) -> tuple[list[str], list[str]]:
     """Return the kind of a model in words, and descriptions of its training data."""
-    inputs = ["speech"] * bool(data.conditioner) + ["labels"] * bool(data.styles)
+    conditioner, styles = data.conditions.conditioner, data.conditions.styles
+    inputs = ["speech"] * bool(conditioner) + ["labels"] * bool(styles)
     mode = f"{' and '.join(inputs)} mode" if inputs else "no condition"
-    contents = [describe_recordings(data.sources, data.seconds, config.fps)]
-    if data.conditioner is not None:
+    contents = []
+    if conditioner is not None:
         if not data.unpaired_is_paired:
             contents.append(f"{roughly(data.spoken[0])} of unpaired speech")
-        contents.append(counted(data.conditioner.dim, "speech feature"))
-    if data.styles:
-        contents.append(counted(len(data.styles), "style"))
-    joints = counted(data.representation.skeleton.n_joints, "joint")
-    contents.append(f"{len(data.representation.joints)} of {joints} modelled")
+        contents.append(counted(conditioner.dim, "speech feature"))
+    if styles:
+        contents.append(counted(len(styles), "style"))
     return ["multires", mode, f"{config.network.levels} levels"], contents
+
+
+def load_start(config: MultiresConfig, speech: SpeechArrays | None) -> MultiresModel | None:
+    """Load the model of `start_from`; None for a run that starts from random weights.
+
+    Args:
+        config: settings of the run.
+        speech: its speech features; None without speech input.
+
+    Raises:
+        ConfigError: the model has other settings or features.
+        ModelError: the model cannot be read.
+    """
+    folder = config.start_from
+    if folder is None:
+        return None
+    weights = None if config.features is None else config.features.encoder_places
+    start = MultiresModel.load(model_of(folder), weights=weights)
+    known = {
+        "fps": start.fps,
+        "normalise": bool(start.normaliser.mean.any()),
+        "contact_threshold": start.representation.contact_speed,
+        **_network(start.network_config),
+    }
+    wanted = {
+        "fps": config.fps,
+        "normalise": config.normalise,
+        "contact_threshold": config.contact_threshold,
+        **_network(config.network),
+    }
+    check_settings("start_from", folder, known, wanted)
+    _check_inputs(start, config, speech, folder)
+    return start
+
+
+def _network(config: NetworkConfig) -> dict[str, Any]:
+    return {f"network.{name}": value for name, value in to_dict(config).items()}
+
+
+def _check_inputs(
+    start: MultiresModel, config: MultiresConfig, speech: SpeechArrays | None, folder: Path
+) -> None:
+    """Raise ConfigError if a model has other inputs than a run."""
+    conditions = start.conditions
+    conditioner, has_state = conditions.conditioner, conditions.state is not None
+    known, wanted = None, None
+    if conditioner is not None:
+        known = {**conditioner_values(conditioner), "residual": conditions.residual}
+    if speech is not None:
+        wanted = {**feature_values(speech), "residual": config.residual}
+    check_conditions(folder, {"features": known}, {"features": wanted})
+    # A model without a state may get one, unless the state hides columns of vocal effort from
+    # the network, or the network has no layer for a condition.
+    hides = conditioner is not None and bool(conditioner.effort)
+    if hides or has_state or not conditions.width:
+        check_settings("start_from", folder, {"state": has_state}, {"state": config.state})
+
+
+def check_styles(
+    start: MultiresModel | None, config: MultiresConfig, styles: Sequence[str]
+) -> None:
+    """Check that a model to start from, if any, has the recordings' styles; both may have none.
+
+    Raises:
+        ConfigError: a style that the model does not know, or only one of them has styles.
+    """
+    if start is not None and config.start_from is not None:
+        known, wanted = {"styles": list(start.styles)}, {"styles": list(styles)}
+        check_conditions(config.start_from, known, wanted)
+
+
+def representation_on_bones_of(
+    start: MultiresModel, config: MultiresConfig, motions: Sequence[Motion]
+) -> MultiresRepresentation:
+    """Return the model's motion vector, on the bones of the run's recordings.
+
+    Raises:
+        ConfigError: the recordings have another rig, or other parts of the body are identified.
+    """
+    folder, known = config.start_from, start.representation
+    assert folder is not None
+    check_rig("start_from", folder, known.skeleton, motions[0].skeleton, config.corpus)
+    wanted = known.on_bones_of(motions)
+    for what, joints in (("feet", _feet), ("upper body", _modulated)):
+        before, now = joints(known, config), joints(wanted, config)
+        if before != now:
+            raise ConfigError(
+                f"start_from: {folder} has {what} {before}, {config.corpus} {now}; name the parts "
+                "of the rig by hand (parts: {left_knee: JOINT, ...})"
+            )
+    return wanted
+
+
+def _feet(representation: MultiresRepresentation, _: MultiresConfig) -> list[str]:
+    """Return the joint of each foot point."""
+    return [point.joint for point in representation.foot_points]
+
+
+def _modulated(representation: MultiresRepresentation, config: MultiresConfig) -> list[str]:
+    """Return the joints that the condition modulates."""
+    blocks = modulated_blocks(representation, config.network)
+    return [name for name, chosen in zip(representation.joints, blocks, strict=False) if chosen]

@@ -104,7 +104,7 @@ class Monitor:
         rng, state = rng_for(self.config.seed, "monitor", number), None
         noises = self.noise.gaussian(lengths[:levels], lambda _: rng)
         noises[0] = self.noise.shuffled(noises[0], [[sequence.style] * lengths[0]], rng)
-        given = self.data.conditions(self.config)
+        given = self.data.conditions
         if self.state is not None:
             state = self.state.drawn(speech[0], sequence.style, rng)
             noises = self.noise.clocked(state, given.n_carriers, lengths[:levels])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,15 +26,12 @@ from gesturekit.multires.retrieval import RecordedLibrary
 from gesturekit.multires.stream_window import SpeechStream
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
-from gesturekit.multires.training.windows import usage
 from gesturekit.progress import Progress
 from gesturekit.state.live import LOOK_AHEADS, AheadPrediction, FeatureWindow, live_rows
 from gesturekit.state.prediction import slow_part
 from gesturekit.state.process import StateProcess
-from gesturekit.training.data.sources import describe_recordings
 from gesturekit.training.model_folder import save_model
 from gesturekit.training.recordings import systematic_sample, training_items
-from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +58,7 @@ def trained_model(
     reconstructed = data.sample if state is None else ()
     sequences, speeds = {}, []
     for sequence in reconstructed:
-        style = data.styles[sequence.style] if data.styles else None
+        style = data.conditions.styles[sequence.style] if data.conditions.styles else None
         sequences[sequence.name] = TrainedSequence(sequence.n_frames, style)
     for sequence in data.sample:
         values = data.normaliser.to_values(sequence.motion[:, :][None])
@@ -77,7 +74,7 @@ def trained_model(
         fps=config.fps,
         representation=data.representation,
         normaliser=data.normaliser,
-        conditions=data.conditions(config),
+        conditions=data.conditions,
         library=library,
         state_process=None if state is None else state.process,
         network_config=config.network,
@@ -88,34 +85,6 @@ def trained_model(
         smooth=config.smooth,
         recorded_fps=data.recorded_fps,
     )
-
-
-def readme_rows(
-    config: MultiresConfig,
-    data: TrainingData,
-    shortest: int,
-    unused: list[str],
-    rows: Mapping[str, str],
-) -> dict[str, str]:
-    """Return what the README of a model says of its training.
-
-    Args:
-        config: of the run.
-        data: its data.
-        shortest: iterations of its shortest stage.
-        unused: labels of the corpus that it does not use.
-        rows: further rows.
-    """
-    seconds, (spoken, files) = data.seconds, data.spoken
-    return {
-        "Recordings": describe_recordings(data.sources, seconds, config.fps),
-        "Unpaired speech": f"{roughly(spoken)} in {counted(files, 'file')}" if files else "none",
-        **({"Not used": "; ".join(unused)} if unused else {}),
-        "Use of the recordings": usage(config.training, shortest, seconds, len(data.sources)),
-        "Began with": config.began_with,
-        **rows,
-        **{str(key): str(value) for key, value in config.notes.items()},
-    }
 
 
 def live_predictions(model: MultiresModel, corpus: Path) -> tuple[AheadPrediction, ...]:

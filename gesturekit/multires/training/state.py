@@ -48,7 +48,9 @@ class TrainingState:
     """
 
     def __init__(self, data: TrainingData, config: MultiresConfig) -> None:
-        self.data, self.config = data, config
+        self.data, self.config, channels = data, config, data.conditions.state
+        assert channels is not None
+        self._channels_of = channels
         self._kinematics = VectorKinematics(data.representation, config.fps, arms=False)
         self._values = {sequence.name: self._measured(sequence) for sequence in data.sample}
         recordings = [
@@ -56,11 +58,11 @@ class TrainingState:
                 self._values[sequence.name],
                 sequence.speech[:, :].numpy(),
                 sequence.take,
-                (sequence.speaker, sequence.style if data.styles else None),
+                (sequence.speaker, sequence.style if data.conditions.styles else None),
             )
             for sequence in data.sample
         ]
-        channels, conditioner = data.state_channels, data.conditioner
+        conditioner = data.conditions.conditioner
         self.process = StateProcess.fit(channels, recordings, config.fps, conditioner)
         self._recorded: dict[str, np.ndarray] = {}
 
@@ -98,7 +100,7 @@ class TrainingState:
 
     def _draw(self, seed: int, speech: Tensor, style: int) -> np.ndarray:
         """Draw the channels (C, T) of a motion to speech (S, T)."""
-        group = (None, style if self.data.styles else None)
+        group = (None, style if self.data.conditions.styles else None)
         return self.process.draw(seed, speech.numpy(), group)
 
     def _window(self, n_frames: int, style: int, rng: torch.Generator) -> np.ndarray | None:
@@ -106,7 +108,8 @@ class TrainingState:
         known = [
             self._values[sequence.name]
             for sequence in self.data.sample
-            if sequence.n_frames >= n_frames and (not self.data.styles or sequence.style == style)
+            if sequence.n_frames >= n_frames
+            and (not self.data.conditions.styles or sequence.style == style)
         ]
         if not known:
             return None
@@ -124,7 +127,7 @@ class TrainingState:
                 key = ("calibration", number, len(pairs))
                 seed = rng_for(self.config.seed, *key).initial_seed() >> 1
                 speech = sequence.speech[:, :].numpy()
-                style = sequence.style if self.data.styles else None
+                style = sequence.style if self.data.conditions.styles else None
                 drawn = process.draw(seed, speech, (sequence.speaker, style))
                 condition = process.condition(seed, drawn)
                 pairs.append((drawn, self._made(model, condition, speech, style)))
@@ -186,4 +189,4 @@ class TrainingState:
     def _channels(self, values: Tensor) -> np.ndarray:
         """Return the channels (C, T) of motion vectors (1, D, T)."""
         places = self._kinematics.places(values)
-        return self.data.state_channels(places, self._kinematics.fps)[0].double().numpy()
+        return self._channels_of(places, self._kinematics.fps)[0].double().numpy()

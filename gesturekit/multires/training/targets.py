@@ -319,7 +319,7 @@ def level_targets(
         if config.uses_arm_speed:
             arms = arm_target(data.sample, i, levels, normaliser, kinematics)
         if config.losses.detail and i:  # the first level has no coarser one
-            styles = max(1, len(data.styles))
+            styles = max(1, len(data.conditions.styles))
             detail = DetailTarget(data.sample, i, levels, places, data.window, styles).to(device)
         if config.losses.state and state is not None:
             wanted = StateTarget(state, i, levels, places).to(device)

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Callable, Iterator, Sequence
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -32,48 +34,39 @@ from gesturekit.multires.training.loading import (
     adapted,
     described,
     load_training_data,
+    read_recordings,
     warn_of_speech,
 )
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
-from gesturekit.multires.training.result import live_predictions, readme_rows, trained_model
+from gesturekit.multires.training.result import live_predictions, trained_model
 from gesturekit.multires.training.state import TrainingState
-from gesturekit.multires.training.targets import level_targets
-from gesturekit.multires.training.windows import Batches, Windows
+from gesturekit.multires.training.targets import MOST_WINDOWS, level_targets
+from gesturekit.multires.training.windows import Batches, Windows, usage
 from gesturekit.state.live import AheadPrediction
-from gesturekit.training.data.sources import save_sources, unused_labels
-from gesturekit.training.data.start_model import widened
-from gesturekit.training.run.folder import Run
-from gesturekit.training.run.held_out import HeldOutMetrics
-from gesturekit.training.run.loop import Loop, last_losses, read_once
-from gesturekit.training.run.session import Processes, session
+from gesturekit.training.model_folder import TrainedModel
+from gesturekit.training.origin import widened
+from gesturekit.training.run_folder import Run
 from gesturekit.training.seeds import rng_for, seeded
+from gesturekit.training.session import Processes
+from gesturekit.training.trainer import BaseTrainer, Estimate, quickest, run_training
+from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)
 
 
 def train(config: MultiresConfig, *, resume: bool = False) -> Path:
-    """Train a multires model and write it.
-
-    Under torchrun each process takes its share of every batch, and the first one writes.
-
-    Args:
-        config: settings of the run.
-        resume: continue from the last checkpoint in `config.out`.
-
-    Returns:
-        The model folder, `config.out / "model"`.
-
-    Raises:
-        ConfigError: `config.out` holds a run already (or none to resume), or no such device.
-        CorpusError: the corpus cannot be trained on.
-        ModelError: the loss or a weight became NaN or infinite.
-    """
-    with session(config, resume=resume) as (run, device, processes):
-        return Trainer(config, run, device, processes, resume=resume).run()
+    """Train a multires model and write it; see `run_training`."""
+    return run_training(Trainer, config, resume=resume)
 
 
-class Trainer:
+class Trainer(BaseTrainer):
     """A training run: its data, its network and its stages, one after another."""
+
+    config: MultiresConfig
+    data: TrainingData
+    read_data = staticmethod(load_training_data)
+    load_data = staticmethod(TrainingData.load)
+    read_recordings = staticmethod(partial(read_recordings, trial=True))
 
     def __init__(
         self,
@@ -85,8 +78,6 @@ class Trainer:
         resume: bool,
         trial: bool = False,
     ) -> None:
-        self.folder, self.processes = run, processes
-        self._live: tuple[AheadPrediction, ...] | None = None
         windows = config.training.windows_per_step
         if windows < processes.count:
             raise ConfigError(
@@ -94,30 +85,16 @@ class Trainer:
                 f"{processes.count} processes (whole sequences go one at a time)"
             )
         requested_backend(config.backend)  # refused here, before the run folder is made
-        self.data = data = read_once(
-            run,
-            processes,
-            resume=resume,
-            read=lambda: load_training_data(config, str(device), trial=trial),
-            load=lambda folder: TrainingData.load(folder, config, str(device)),
-        )
-        skeleton = data.representation.skeleton
+        super().__init__(config, run, device, processes, resume=resume, trial=trial)
+        self._live: tuple[AheadPrediction, ...] | None = None
+        data, skeleton = self.data, self.data.representation.skeleton
         self.config = config = adapted(config, skeleton, quiet=not processes.is_first)
         if processes.is_first:
             warn_of_speech(config, data)
-        self.held_out = HeldOutMetrics(
-            config, run, speech=data.conditioner is not None, styles=data.styles
-        )
-        self.loop = Loop(config, run, processes, self.held_out)
-        self.unused = unused_labels(data.sources, data.styles, state=config.state)
-        steps = sum(count for _, count in self.stages())
-        kind, contents = described(config, data)
-        self.loop.announce(kind, steps, contents, self.unused)
+        self.announce(*described(config, data), sum(count for _, count in self.stages()))
         self.network = seeded(
             (config.seed, "generator"),
-            lambda: MultiresGenerator(
-                data.representation, data.conditions(config).width, config.network
-            ),
+            lambda: MultiresGenerator(data.representation, data.conditions.width, config.network),
         )
         if data.start:
             self.network.load_state_dict(
@@ -152,7 +129,7 @@ class Trainer:
             self.config, self.data, self.network, self.processes, first, iterations, self.state
         )
 
-    def run(self) -> Path:
+    def run(self) -> None:
         """Train all stages, or those that are left, and write the model."""
         done, state = self.loop.resume()
         if state is not None:
@@ -184,9 +161,7 @@ class Trainer:
                     if due.checkpoint:
                         self.loop.save(step, stage.weights(), stage.state())
         if self.processes.is_first:
-            self._finish(end)
-        self.processes.wait()
-        return self.folder.folder / "model"
+            self.finish(end, self._calibrated(self._model(self.network)))
 
     def measure(self, step: int, levels: int) -> str:
         """Log and return the verdict on held-out recordings, at the finest level so far."""
@@ -209,32 +184,35 @@ class Trainer:
             distance = distance_from_recordings(metrics)
             if all(distance < distance_from_recordings(other) for other in before):
                 model = self._calibrated(self._model(copy.deepcopy(self.network)))
-                self._save(
-                    "best", model, {"Training steps": f"{step}, the best by the cheap evaluations"}
-                )
+                steps = f"{step}, the best by the cheap evaluations"
+                self.write("best", model, {"Training steps": steps})
         self.folder.log(step, metrics, level=first + 1, kind="evaluation")
-
-    def _finish(self, steps: int) -> None:
-        """Measure and write the model."""
-        model = self._calibrated(self._model(self.network))
-        measured = self.held_out.measure(steps, model, keep=True)
-        notes = {"Training steps": str(steps), "Last losses": last_losses(self.folder)}
-        self._save("model", model, notes | ({"Measured": measured} if measured else {}))
 
     def _model(self, network: MultiresGenerator) -> MultiresModel:
         """Return the model of a network, which is moved to the CPU."""
         return trained_model(self.config, self.data, network, self.state, self.library)
 
-    def _save(self, name: str, model: MultiresModel, rows: dict[str, str]) -> None:
+    def about_data(self) -> dict[str, str]:
+        """Return what README.md says of the data beside the recordings, and of their use."""
+        (spoken, files), sources = self.data.spoken, len(self.data.sources)
+        unpaired = f"{roughly(spoken)} in {counted(files, 'file')}" if files else "none"
+        shortest = min(iterations for _, iterations in self.stages())
+        return {
+            "Unpaired speech": unpaired,
+            "Not used": "; ".join(self.unused),
+            "Use of the recordings": usage(
+                self.config.training, shortest, self.data.seconds, sources
+            ),
+        }
+
+    def write(self, name: str, model: TrainedModel, rows: Mapping[str, str]) -> None:
         """Write a model of the run, its state of movement as its network shows it."""
+        assert isinstance(model, MultiresModel)
         if (process := model.state_process) is not None:
             if self._live is None:
                 self._live = self._live_predictions(model)
             model = replace(model, state_process=replace(process, ahead=self._live))
-        shortest = min(iterations for _, iterations in self.stages())
-        rows = readme_rows(self.config, self.data, shortest, self.unused, rows)
-        model.save(self.folder.folder / name, notes=rows)
-        save_sources(self.folder.folder / name, self.data.sources)
+        super().write(name, model, rows)
 
     def _live_predictions(self, model: MultiresModel) -> tuple[AheadPrediction, ...]:
         """Return predictions for live speech, and none with a warning if they cannot be fitted."""
@@ -250,6 +228,35 @@ class Trainer:
         if self.state is None or self.config.retrieval:
             return model
         return replace(model, state_process=self.state.calibrated(model))
+
+    def estimate(self) -> Estimate:
+        """Estimate the cost of the training from a few iterations of each stage.
+
+        They change the networks: for a run that is not kept.
+        """
+        data, config = self.data, self.config
+        whole = data.seconds * config.fps
+        frames = sum(sequence.n_frames for sequence in data.paired)
+        # Whole recordings differ in length, and each iteration takes one of them.
+        longer = 1.0
+        if config.training.window is None:
+            longer = whole / len(data.sources) / (frames / len(data.paired))
+        sampled = min(whole, 60 * config.in_memory * config.fps)
+        seconds = quickest(lambda: self.state, 1) * sampled / frames
+        for first, iterations in self.stages():
+            began = time.monotonic()
+            stage = self.stage(first, iterations)
+            begin = time.monotonic() - began
+            seconds += begin * min(sampled, MOST_WINDOWS) / min(frames, MOST_WINDOWS)
+            renewals = math.ceil(iterations / config.training.renew_every)
+            seconds += renewals * quickest(partial(stage.batches.renew, 0), 2)
+            # The first iteration compiles too.
+            seconds += iterations * longer * quickest(partial(stage.iterate, 1), 4)
+        speech = 0.0
+        if data.conditions.conditioner is not None:
+            speech = 4 * config.fps * (data.conditions.conditioner.extractor.dim + 1)
+        motion = data.representation.n_features + data.paired[0].passive.shape[0]
+        return Estimate(seconds, (4 * config.fps * motion + speech, speech))
 
 
 class Stage:
@@ -280,7 +287,7 @@ class Stage:
         self.device = next(network.parameters()).device
         self.indices = range(first, min(first + 2, config.network.levels))
         conditioned = config.styles is not None and config.styles.condition_discriminator
-        self.n_styles = len(data.styles) if conditioned else 0
+        self.n_styles = len(data.conditions.styles) if conditioned else 0
         self.generators = nn.ModuleList(network.levels[i] for i in self.indices)
         self.discriminators = nn.ModuleList(
             seeded(
@@ -504,8 +511,9 @@ class Stage:
         """Return what each level was given of the state (B, C, T_i), and the predicted arm movement
         (B, 2, T_i); empty without such targets."""
         given, aims = list[Tensor](), list[Tensor]()
-        if any(target.state for target in self.targets):
-            channels = self.batches.data.state_channels
+        stated = [target.state for target in self.targets if target.state]
+        if stated:
+            channels = stated[0].channels
             rows = slice(-channels.width, len(channels.names) - channels.width)
             given = self._within([level[:, rows] for level in windows.conditions], n_frames)
         arms = [target.arms for target in self.targets if target.arms]

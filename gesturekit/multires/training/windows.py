@@ -281,7 +281,7 @@ class Batches:
         """
         config, to, first = self.config, self.device, self.first
         lengths = af.level_lengths(speech.shape[-1], config.network.levels)
-        given = self.data.conditions(config)
+        given = self.data.conditions
         conditions = [level.to(to) for level in given.of_batch(speech, lengths, styles, state)]
         if state is not None:
             noises = self.noise.clocked(state, given.n_carriers, lengths)

@@ -31,8 +31,8 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 from gesturekit.errors import ConfigError, ModelError, OutputError, is_full
 from gesturekit.progress import Progress
 from gesturekit.training.config import to_dict
-from gesturekit.training.run.folder import Run, resume_command
 from gesturekit.training.run_config import RunConfig
+from gesturekit.training.run_folder import Run, resume_command
 
 log = logging.getLogger(__name__)
 

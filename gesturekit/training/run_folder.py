@@ -21,7 +21,7 @@ from audio_features.atomic import atomic_write, remove_unfinished
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.jobs.records import claimed, running
 from gesturekit.training.config import dotted, dump_yaml, read_yaml
-from gesturekit.training.run.report import write_report
+from gesturekit.training.report import write_report
 
 log = logging.getLogger(__name__)
 

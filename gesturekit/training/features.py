@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -28,7 +28,7 @@ from gesturekit.corpus.speech import (
     wide_columns,
 )
 from gesturekit.progress import Progress
-from gesturekit.training.data.arrays import StoredArray, StoredFrames
+from gesturekit.training.arrays import Array, ArrayInMemory, StoredFrames
 from gesturekit.training.run_config import Positive, Settings
 
 log = logging.getLogger(__name__)
@@ -92,77 +92,6 @@ class FeatureConfig(Settings):
         return af.extractor_from_spec(parts, weights=self.weights, device=device)
 
 
-def extract_features(
-    items: Sequence[Item],
-    most: Sequence[int | None],
-    extractor: Any,
-    fps: float,
-    settings: FeatureConfig,
-    fitted: SpeechConditioner | None = None,
-) -> tuple[SpeechConditioner, list[np.ndarray]]:
-    """Return a fitted conditioner and the features (T, S), float32, of each item.
-
-    Args:
-        items: with audio.
-        most: largest number of frames of each; None for all.
-        extractor: see `FeatureConfig.extractor`.
-        fps: frames per second of the motion.
-        settings: resampling, normalisation and reduction.
-        fitted: conditioner of a model with the same extractor and settings, which is kept; None
-            fits one to these items.
-
-    Raises:
-        AudioError: a file cannot be read.
-    """
-    progress = Progress(items, desc="Extracting speech features", unit="file")
-    align, level = settings.align, settings.normalise == "clip"
-    extracted, voiceless, vad = [], [], detects_voice(extractor, settings.vad)
-    for item in progress:
-        speech, has_voice = _speech_of(item, vad)
-        if not has_voice:
-            voiceless.append(item.id)
-        extracted.append(extract(speech, extractor, fps, align, level=level))
-    _warn_of_voiceless(voiceless, len(items))
-    conditioner = fitted
-    if conditioner is None:
-        conditioner = fit_conditioner(extracted, extractor, fps, settings)
-    # Each array is released as soon as it is normalised: features of a large corpus fill memory.
-    extracted.reverse()
-    speeches = []
-    for n_frames in most:
-        values, active = extracted.pop()
-        speeches.append(conditioner.normalise(values[:n_frames], active[:n_frames]))
-    return conditioner, speeches
-
-
-def _speech_of(item: Item, vad: bool) -> tuple[af.Wave, bool]:
-    """Return an item's sound, without voiceless stretches if `vad`, and whether it has a voice."""
-    wave = item.load_wave()
-    speech = af.speech_only(wave) if vad else wave
-    return speech, wave.is_silent or not speech.is_silent
-
-
-def _warn_of_voiceless(names: Sequence[str], count: int) -> None:
-    """Warn of sounds without voice, by their names, among `count` sounds."""
-    if names:
-        log.warning(
-            "%d of %d sounds have no voice and count as silence (%s); features.vad=false uses them "
-            "as speech",
-            *(len(names), count, ", ".join(names[:3])),
-        )
-
-
-def fit_conditioner(
-    clips: Sequence[RawFeatures], extractor: Any, fps: float, settings: FeatureConfig
-) -> SpeechConditioner:
-    """Fit the conditioner of a run to its speech, the result of `extract` for each clip."""
-    conditioner = SpeechConditioner.fit(clips, extractor, fps, settings.align, settings.normalise)
-    conditioner = replace(conditioner, vad=detects_voice(extractor, settings.vad))
-    if settings.components is not None:
-        conditioner = conditioner.reduced(clips, settings.components)
-    return conditioner
-
-
 @dataclass(frozen=True)
 class SpeechArrays:
     """Makes arrays (T, D + 1): D features, not normalised, and speech activity, 0 or 1.
@@ -195,6 +124,29 @@ class SpeechArrays:
     def _level(self) -> bool:
         return self.settings.normalise == "clip"
 
+    def in_memory(self, items: Sequence[Item]) -> list[ArrayInMemory]:
+        """Extract the features of items into arrays that are not written to disk."""
+        progress = Progress(items, desc="Extracting speech features", unit="file")
+        return [ArrayInMemory(*self.make(item)) for item in progress]
+
+    def fit(
+        self, clips: Iterable[tuple[Array, int, int]], known: SpeechConditioner | None
+    ) -> SpeechConditioner:
+        """Return a conditioner that is known, of a model to start from, or fit one.
+
+        Args:
+            clips: arrays that this has made, first frame and end of each clip.
+            known: a conditioner with the same extractor and settings; None fits one.
+        """
+        if known is not None:
+            return known
+        settings, raw = self.settings, [raw_speech(*clip) for clip in clips]
+        about = self.extractor, self.fps, settings.align, settings.normalise
+        conditioner = replace(SpeechConditioner.fit(raw, *about), vad=self._vad)
+        if settings.components is None:
+            return conditioner
+        return conditioner.reduced(raw, settings.components)
+
     def origin(self, item: Item) -> dict[str, Any]:
         """Return all that the features of an item depend on."""
         words = item.conditions.get("words") if takes_words(self.extractor) else None
@@ -212,31 +164,31 @@ class SpeechArrays:
 
     def make(self, item: Item) -> tuple[np.ndarray, dict[str, Any]]:
         """Extract the features of an item."""
-        speech, has_voice = _speech_of(item, self._vad)
+        wave = item.load_wave()
+        speech = af.speech_only(wave) if self._vad else wave
         align = self.settings.align
         values, active = extract(speech, self.extractor, self.fps, align, level=self._level)
         return np.column_stack([values, active]), {
             "id": item.id,
-            "has_voice": has_voice,
+            "has_voice": wave.is_silent or not speech.is_silent,
             "spoken": int(active.sum()),
             "total": values[active].sum(axis=0, dtype=np.float64).tolist(),
         }
 
 
-def stored_speech(
-    arrays: Sequence[StoredArray],
-    conditioner: SpeechConditioner,
-    most: Sequence[int] | None = None,
+def speech_frames(
+    arrays: Sequence[Array], conditioner: SpeechConditioner, lengths: Sequence[int]
 ) -> list[StoredFrames]:
     """Return the normalised features (S, T) of arrays that `SpeechArrays` made.
 
     Args:
         arrays: of each item.
         conditioner: normalises them.
-        most: largest number of frames of each, as in `extract_features`; None for all.
+        lengths: frames of each; those beyond them are left out.
     """
 
-    def of(array: StoredArray, n_frames: int) -> StoredFrames:
+    def of(array: Array, n_frames: int) -> StoredFrames:
+        n_frames = min(n_frames, array.shape[0])
         total, spoken = array.facts["total"], array.facts["spoken"]
         if n_frames < array.shape[0]:
             values, active = raw_speech(array, 0, n_frames)
@@ -249,15 +201,16 @@ def stored_speech(
 
         return StoredFrames(array, (conditioner.dim, n_frames), convert)
 
-    silent = [array.facts["id"] for array in arrays if not array.facts["has_voice"]]
-    _warn_of_voiceless(silent, len(arrays))
-    lengths = [array.shape[0] for array in arrays]
-    if most is not None:
-        lengths = list(map(min, lengths, most))
+    if silent := [array.facts["id"] for array in arrays if not array.facts["has_voice"]]:
+        log.warning(
+            "%d of %d sounds have no voice and count as silence (%s); features.vad=false uses them "
+            "as speech",
+            *(len(silent), len(arrays), ", ".join(silent[:3])),
+        )
     return list(map(of, arrays, lengths))
 
 
-def raw_speech(array: StoredArray, start: int, stop: int) -> RawFeatures:
+def raw_speech(array: Array, start: int, stop: int) -> RawFeatures:
     """Read the features of some frames as `extract` returned them."""
     rows = array.rows(start, stop)
     return rows[:, :-1], rows[:, -1] > 0
@@ -288,15 +241,15 @@ def conditioner_values(conditioner: SpeechConditioner) -> dict[str, Any]:
     }
 
 
-def feature_values(extractor: Any, settings: FeatureConfig) -> dict[str, Any]:
+def feature_values(speech: SpeechArrays) -> dict[str, Any]:
     """Return the `conditioner_values` of a conditioner with these settings."""
-    count = settings.components
+    settings, count = speech.settings, speech.settings.components
     return {
-        "spec": extractor.spec,
+        "spec": speech.extractor.spec,
         "align": settings.align,
         "normalise": settings.normalise,
-        "components": count if count and wide_columns(extractor, count).any() else None,
-        "vad": detects_voice(extractor, settings.vad),
+        "components": count if count and wide_columns(speech.extractor, count).any() else None,
+        "vad": detects_voice(speech.extractor, settings.vad),
     }
 
 

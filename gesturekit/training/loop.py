@@ -1,64 +1,29 @@
-"""Bookkeeping that the trainers share: data, progress, log, finite check, checkpoints."""
+"""Bookkeeping that the trainers share: progress, log, finite check, checkpoints."""
 
 from __future__ import annotations
 
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from gesturekit.errors import ModelError
 from gesturekit.progress import Progress
-from gesturekit.training.run.folder import Run
-from gesturekit.training.run.held_out import HeldOutMetrics
-from gesturekit.training.run.session import Processes
+from gesturekit.training.held_out import HeldOutMetrics
 from gesturekit.training.run_config import RunConfig
-from gesturekit.wording import counted, roughly
+from gesturekit.training.run_folder import Run
+from gesturekit.training.session import Processes
+from gesturekit.wording import roughly
 
 log = logging.getLogger(__name__)
 
 _SAID_AFTER = 3.0
 """Seconds of training after which its length is estimated and logged, once."""
-
-
-class _Data(Protocol):
-    def save(self, folder: Path) -> None: ...
-
-
-Data = TypeVar("Data", bound=_Data)
-
-
-def read_once(
-    run: Run,
-    processes: Processes,
-    *,
-    resume: bool,
-    read: Callable[[], Data],
-    load: Callable[[Path], Data],
-) -> Data:
-    """Return the training data, which only the first process of a new run reads from the corpus.
-
-    Args:
-        run: folder in which the first process saves the data.
-        processes: of the run.
-        resume: all processes load what the run saved when it began.
-        read: read the corpus.
-        load: load what `Data.save` wrote into a folder.
-    """
-    folder = run.folder / "data"
-    data = None
-    if not resume and processes.is_first:
-        data = read()
-        data.save(folder)
-        run.begin()
-    processes.wait()
-    return load(folder) if data is None else data
 
 
 @dataclass(frozen=True)
@@ -90,25 +55,6 @@ class Loop:
         self.run = run
         self.processes = processes
         self.held_out = held_out
-
-    def announce(
-        self, kind: Sequence[str], steps: int, contents: Sequence[str], unused: Sequence[str]
-    ) -> None:
-        """Log the run folder, kind of training, data and held-out recordings, on one process.
-
-        Args:
-            kind: system and mode of the training.
-            steps: its length.
-            contents: training data.
-            unused: sentences about labels of the corpus, see `unused_labels`.
-        """
-        if self.processes.is_first:
-            length = f"{counted(steps, self.config.noun)} (longer={self.config.longer:g})"
-            log.info("Run folder %s: %s.", self.config.out, ", ".join([*kind, length]))
-            log.info("Training on %s.", ", ".join(contents))
-            for line in unused:
-                log.warning("%s.", line)
-            log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
 
     def resume(self) -> tuple[int, dict[str, Any] | None]:
         """Return the last checkpoint's step and state, or (0, None); drop later log lines."""
@@ -274,9 +220,3 @@ class Steps(Progress):
         if left := self.seconds_left:
             values["rate"] = (self.total - self.n) / left
         return values
-
-
-def last_losses(run: Run) -> str:
-    """Return the losses logged last, for a model's README."""
-    losses = {name: value for name, value in run.last_metrics().items() if name != "learning_rate"}
-    return ", ".join(f"{name} {value:.3g}" for name, value in losses.items())

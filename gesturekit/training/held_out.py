@@ -19,8 +19,8 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation import evaluate
 from gesturekit.evaluation.measuring.clips import forget_files
 from gesturekit.evaluation.results import ModelResult
-from gesturekit.training.run.folder import Run
 from gesturekit.training.run_config import RunConfig
+from gesturekit.training.run_folder import Run
 from gesturekit.wording import counted, roughly
 
 log = logging.getLogger(__name__)

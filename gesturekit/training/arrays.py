@@ -1,9 +1,9 @@
-"""Arrays of a long corpus on disk, from which training reads windows.
+"""Arrays of a corpus, in memory or on disk, from which training reads windows.
 
-An array holds the motion vectors or the raw speech features of one item, frame after frame. It is
-named by a digest of the item's files and interval and of all settings that it depends on, so that
-an array of a changed file or setting is never read. Runs on the same corpus share their arrays; a
-run that is killed while arrays are made goes on with those that are missing.
+An array holds the motion vectors or the raw speech features of one item, frame after frame. On
+disk it is named by a digest of the item's files and interval and of all settings that it depends
+on, so that an array of a changed file or setting is never read. Runs on the same corpus share their
+arrays; a run that is killed while arrays are made goes on with those that are missing.
 
     CORPUS.arrays/3f/3f2a...c1.npy     (T, C) float32
     CORPUS.arrays/3f/3f2a...c1.json    facts about it, written last
@@ -16,7 +16,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -63,6 +63,11 @@ class StoredArray:
     shape: tuple[int, int]
     facts: Mapping[str, Any]
 
+    @property
+    def key(self) -> str:
+        """Name of the array."""
+        return self.path.stem
+
     def rows(self, start: int, stop: int) -> np.ndarray:
         """Read frames `start` to `stop`, (stop - start, C).
 
@@ -87,8 +92,33 @@ class StoredArray:
 
 
 @dataclass(frozen=True, eq=False)
+class ArrayInMemory:
+    """Array (T, C) in memory; attributes as those of `StoredArray`."""
+
+    values: np.ndarray
+    facts: Mapping[str, Any]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """T and C."""
+        return self.values.shape
+
+    def rows(self, start: int, stop: int) -> np.ndarray:
+        """Return frames `start` to `stop`, (stop - start, C) float32."""
+        return self.values[start:stop].astype(np.float32, copy=False)
+
+
+Array = ArrayInMemory | StoredArray
+
+
+def names_of(arrays: Sequence[Array]) -> list[str]:
+    """Return the names of the arrays that are on disk."""
+    return [array.key for array in arrays if isinstance(array, StoredArray)]
+
+
+@dataclass(frozen=True, eq=False)
 class StoredFrames:
-    """Channels (C, T) of a recording on disk, of which `[:, start:stop]` reads a window.
+    """Channels (C, T) of an array, of which `[:, start:stop]` reads and converts a window.
 
     Attributes:
         array: (T, ...) with these channels.
@@ -96,7 +126,7 @@ class StoredFrames:
         convert: returns the channels (C, n) of n rows of the array.
     """
 
-    array: StoredArray
+    array: Array
     shape: tuple[int, int]
     convert: Callable[[np.ndarray], Tensor]
 
@@ -106,13 +136,15 @@ class StoredFrames:
         start, stop, _ = frames.indices(self.shape[1])
         return self.convert(self.array.rows(start, stop))[channels]
 
-    def first(self, n_frames: int) -> StoredFrames:
-        """Return the first frames alone."""
-        return replace(self, shape=(self.shape[0], n_frames))
+    @property
+    def key(self) -> str:
+        """Name of the array on disk."""
+        assert isinstance(self.array, StoredArray)
+        return self.array.key
 
 
 Frames = Tensor | StoredFrames
-"""Channels (C, T) of a recording, in memory or on disk; `[:, start:stop]` is a tensor."""
+"""Channels (C, T) of a recording, as a tensor or of an array; `[:, start:stop]` is a tensor."""
 
 
 class Maker(Protocol):

@@ -1,1 +1,0 @@
-"""Training run: folder, checkpoints, processes and devices."""
