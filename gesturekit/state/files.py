@@ -61,15 +61,14 @@ def given_state(process: StateProcess, state: str | Path | np.ndarray, n_frames:
             raise FormatError(
                 f"{state}: not a .npy file of numbers, as numpy.save writes model.state"
             ) from error
-    if state.dtype.kind not in "fiu":
-        raise ModelError(f"state: its type is {state.dtype}, not a number")
-    state, width = state[:n_frames].astype(float), len(process.channels.names)
-    if state.ndim != 2 or state.shape[1] != width or not len(state):
+    wanted, shape = len(process.channels.names), state.shape
+    is_right = state.dtype.kind in "fiu" and len(shape) == 2 and shape[0] and shape[1] == wanted
+    state = state[:n_frames].astype(float) if is_right else state
+    if not is_right or not np.isfinite(state).all():
         raise ModelError(
-            f"state: shape {state.shape}, not (frames, {width}); as model.state returns it"
+            f"state: {state.dtype} of shape {shape}, not (frames, {wanted}) finite numbers; as "
+            "model.state returns it"
         )
-    if not np.isfinite(state).all():
-        raise ModelError("state: not all of its values are finite")
     return np.pad(state, ((0, max(0, n_frames - len(state))), (0, 0)), mode="edge")[:n_frames]
 
 
@@ -96,7 +95,7 @@ _RANGES = {
     "kernel": (-2, 2),
     "followed": (0.1, 1),
 }
-_LARGEST = 1e6
+_WIDEST = (-1e6, 1e6)
 _TAKE = (0.1, 1e7)  # seconds; a single take may have hours
 _MOST_POINTS = 1000  # of a filter, and of quantiles
 
@@ -183,15 +182,13 @@ def _check(
     n, n_fast = len(channels.names), int(channels.fast.sum())
     sizes = {"S": speech_size, "C": n, "F": n_fast, "C - F": n - n_fast, "G": groups}
     sizes |= {"2": 2, "3": 3}
-    free = {"R": "kernel", "Q": "quantiles", "P": "response"}
-    sizes |= {size: arrays[name].shape[-1] for size, name in free.items()}
-    lengths = [sizes[size] for size in free]
-    if not (sizes["R"] % 2 and max(lengths) <= _MOST_POINTS and min(lengths[1:]) > 1):
-        raise ValueError("state: filters, quantiles or responses of a wrong length")
+    for size, name in {"R": "kernel", "Q": "quantiles", "P": "response"}.items():
+        sizes[size] = min(arrays[name].shape[-1], _MOST_POINTS)
     for name, axes in _SHAPES.items():
-        wanted = tuple(sizes[axis] for axis in axes)
-        if arrays[name].shape != wanted:
-            raise ValueError(f"state.{name} has the shape {arrays[name].shape}, not {wanted}")
-        low, high = _RANGES.get(name, (-_LARGEST, _LARGEST))
-        if not ((low <= arrays[name]) & (arrays[name] <= high)).all():
-            raise ValueError(f"state.{name} has values that are not from {low:g} to {high:g}")
+        wanted, (low, high) = tuple(sizes[axis] for axis in axes), _RANGES.get(name, _WIDEST)
+        array = arrays[name]
+        if array.shape != wanted or not ((low <= array) & (array <= high)).all():
+            raise ValueError(
+                f"state.{name} has the shape {array.shape}; expected {wanted} and values from "
+                f"{low:g} to {high:g}"
+            )

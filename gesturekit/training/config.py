@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 
 import yaml
 
+from audio_features.archive import read_bytes
 from gesturekit.errors import ConfigError
 from gesturekit.field_docs import field_docs
 from gesturekit.training.recipes import recipe_config
@@ -45,15 +46,8 @@ _MAX_DIGITS = 40
 class _Loader(yaml.SafeLoader):
     """Safe YAML that reads 1e-3 as a number; PyYAML follows YAML 1.1, which wants 1.0e-3.
 
-    Numbers of many digits, and aliases, which may make a small file large, are refused.
+    Numbers of many digits are refused.
     """
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose one value."""
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark
-            raise yaml.composer.ComposerError(None, None, "aliases (*NAME) are not read", mark)
-        return super().compose_node(parent, index)
 
     def construct_yaml_int(self, node: Any) -> int:
         """Return a whole number."""
@@ -96,23 +90,15 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file is missing, is not YAML, or holds no mapping.
     """
-    path = Path(path)
+    content = read_bytes(Path(path), _MAX_BYTES, ConfigError)
     try:
-        if path.exists() and not path.is_file():
-            raise ConfigError("not a regular file")
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise ConfigError(f"over {_MAX_BYTES >> 20} MB; too large for a configuration")
-        values = copy.deepcopy(_parsed(data.decode("utf-8")))
-        if not isinstance(values, dict):
-            raise ConfigError(f"holds {type(values).__name__}, expected key: value lines")
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such configuration file") from None
-    except (OSError, UnicodeDecodeError) as error:
+        values = copy.deepcopy(_parsed(content.decode("utf-8")))
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read as text ({error})") from None
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: holds {type(values).__name__}, expected key: value lines")
     return values
 
 
@@ -319,30 +305,28 @@ def _convert(value: Any, hint: Any, where: str, key: str) -> Any:
 
 def _convert_one(value: Any, hint: Any, where: str, key: str) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    expected = f"of type {getattr(hint, '__name__', hint)}"
     if origin is typing.Literal:
         if value in arguments:
             return value
-        raise ConfigError(
-            f"{where}: {key}: {value!r} is not one of {', '.join(map(repr, arguments))}"
-        )
-    if dataclasses.is_dataclass(hint):
+        expected = f"one of {', '.join(map(repr, arguments))}"
+    elif dataclasses.is_dataclass(hint):
         return _build(hint, value, where, f"{key}.")
-    if origin in (list, tuple):
+    elif origin in (list, tuple):
         if isinstance(value, (list, tuple)):
             return tuple(_convert(item, arguments[0], where, f"{key}[]") for item in value)
-        raise ConfigError(f"{where}: {key}: {value!r} is not a list")
-    if hint is dict or origin is dict:
+        expected = "a list"
+    elif dict in (hint, origin):
         if isinstance(value, dict):
             return value
-        raise ConfigError(f"{where}: {key}: {value!r} is not a mapping")
-    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        expected = "a mapping"
+    elif hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value)
-    if hint is Path and isinstance(value, str):
+    elif hint is Path and isinstance(value, str):
         return Path(value)
-    if hint in (int, bool, str) and type(value) is hint:
+    elif hint in (int, bool, str) and type(value) is hint:
         return value
-    expected = getattr(hint, "__name__", str(hint))
-    raise ConfigError(f"{where}: {key}: {value!r} is not of type {expected}")
+    raise ConfigError(f"{where}: {key}: {value!r} is not {expected}")
 
 
 def to_dict(config: Any) -> Any:

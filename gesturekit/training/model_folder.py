@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 import audio_features as af
+from audio_features.archive import parse_json, read_bytes
 from audio_features.atomic import atomic_write, remove_unfinished, write_tensors
 from audio_features.extractor import needs_of
 from audio_features.weight_files import WeightPlaces
@@ -39,15 +40,10 @@ from gesturekit.training.session import memory_ran_out, prepare_device, warn_of_
 from gesturekit.wording import counted
 
 FORMAT = 1
+_MOST_RIG = 64 << 20  # bytes of skeleton.json
 _MOST_HEADER = 4 << 20  # some 40,000 tensors; the largest of our models have 2,000
 
 
-class _HasSkeleton(Protocol):
-    @property
-    def skeleton(self) -> Skeleton: ...
-
-
-Model = TypeVar("Model", bound=_HasSkeleton)
 Data = TypeVar("Data")
 _DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 
@@ -117,7 +113,7 @@ def model_digest(
     return digest.hexdigest()
 
 
-def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], Model]) -> Model:
+def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], Any]) -> Any:
     """Read a model folder.
 
     Args:
@@ -164,28 +160,22 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], M
 def _read_files(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """Return the content of skeleton.json and of model.safetensors.
 
-    What is no regular file, whose reading may never end, and a million tensors are refused.
-
     Raises:
-        ModelError: a file is missing or damaged.
+        ModelError: a file is missing, special or damaged, or has a million tensors.
     """
     file = folder / "skeleton.json"
+    rig = parse_json(read_bytes(file, _MOST_RIG, ModelError), str(file), ModelError)
+    file = folder / "model.safetensors"
     try:
-        rig = json.loads(_regular(file).read_text(encoding="utf-8"))
-        file = folder / "model.safetensors"
-        with _regular(file).open("rb") as opened:
+        if file.exists() and not file.is_file():  # reading a pipe may never end
+            raise ValueError("not a regular file")
+        with file.open("rb") as opened:
             header = int.from_bytes(opened.read(8), "little")  # bytes of JSON about the tensors
         if header > _MOST_HEADER:
             raise ValueError(f"{header} bytes of names")
         return rig, load_file(file)
     except (OSError, ValueError, SafetensorError) as error:
         raise ModelError(f"{file}: missing or damaged ({error})") from error
-
-
-def _regular(file: Path) -> Path:
-    if file.exists() and not file.is_file():
-        raise ValueError("not a regular file")
-    return file
 
 
 def _read_config(folder: Path, kind: str) -> dict[str, Any]:
