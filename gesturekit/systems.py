@@ -157,25 +157,27 @@ def load(
     folder = model_folder(model)
     if not _is_model(folder) and _is_model(folder / "model"):
         folder /= "model"  # the model of a run folder
-    if not _is_model(folder) and (why := unfinished(folder)):
-        raise ModelError(why)
-    if not folder.is_dir():
-        if folder.suffix.lower() in (".bvh", ".npz", ".glb", ".fbx"):
-            raise ModelError(f"{model}: a motion, not a model: gesturekit.Motion.load reads it")
-        raise ModelError(
-            f"{model}: neither a model folder nor a bundled model "
-            f"({', '.join(bundled_models()) or 'none is bundled'})"
-        )
     try:
         kind = read_yaml(folder / "config.yaml").get("kind")
     except ConfigError as error:
-        raise ModelError(f"not a model folder: {error}") from None
+        raise ModelError(_not_a_model(model, folder, error)) from None
     if not isinstance(kind, str) or kind not in SYSTEMS:
         raise ModelError(
-            f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
+            unfinished(folder)
+            or f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
             "A newer kind needs a newer gesturekit"
         )
     return _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
+
+
+def _not_a_model(model: str | Path, folder: Path, error: ConfigError) -> str:
+    """Return the message about a model folder whose settings cannot be read."""
+    if folder.is_dir():
+        return unfinished(folder) or f"not a model folder: {error}"
+    if folder.suffix.lower() in (".bvh", ".npz", ".glb", ".fbx"):
+        return f"{model}: a motion, not a model: gesturekit.Motion.load reads it"
+    known = ", ".join(bundled_models()) or "none is bundled"
+    return unfinished(folder) or f"{model}: neither a model folder nor a bundled model ({known})"
 
 
 @gesturekit_errors()

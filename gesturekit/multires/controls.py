@@ -34,7 +34,8 @@ class MultiresControls(Controls, total=False):
     edited and passed back as keyframes. Only style, level_style, speech and level_speech can be
     combined with it."""
     keyframes: Annotated[
-        str | Path | Motion | None, Control(kind=Path, metavar="EDIT.bvh", excludes=PLACING)
+        str | Path | Motion | None,
+        Control(kind=Path, metavar="EDIT.bvh", excludes=(*PLACING, "path", "like")),
     ]
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
     slow movement. If it is an edited copy of a motion generated with levels, the same seed and the
@@ -47,7 +48,7 @@ class MultiresControls(Controls, total=False):
         Control(
             kind=Path,
             metavar="FILE[@SECONDS],...",
-            excludes=PLACING,
+            excludes=(*PLACING, "path", "keyframes", "like", "speaker"),
             note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
         ),
     ]

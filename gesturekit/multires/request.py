@@ -33,6 +33,8 @@ _HELD_SECONDS = 0.5
 """A motion to redo may be this much shorter than its sound."""
 _OF_LEVELS = ("levels", "level_style", "level_speech", "keyframes", "like", "keep", "path")
 """Controls that a model without levels, which plays recordings, does not take."""
+_OF_ALL_LEVELS = ("path", "like", "keyframes", "keep", "speaker")
+"""Controls that a motion of a coarse level does not take."""
 
 
 class Request:
@@ -76,7 +78,11 @@ class Request:
         n_levels, conditioner = model.network_config.levels, model.conditions.conditioner
         self.controls = controls
         self.is_coarse = controls["levels"] not in (None, n_levels)
-        _check_combination(controls, self.is_coarse)
+        whole = [n for n, v in controls.items() if n in _OF_ALL_LEVELS and v is not None]
+        if {"path", "like"} <= {*whole}:
+            raise ModelError("path and like: give one of them")
+        if self.is_coarse and whole:
+            raise ModelError(f"{whole[0]} goes with all levels: leave levels away")
         start = controls["keyframes"] if controls["like"] is None else controls["like"]
         self.start = Motion.load(start) if isinstance(start, str | Path) else start
         self.clips, path = None, None
@@ -195,19 +201,6 @@ def check_controls(model: MultiresModel, controls: MultiresControls, samples: in
     of_levels = [name for name, value in controls.items() if name in _OF_LEVELS and value]
     if model.retrieves and of_levels:
         raise ModelError(f"{of_levels[0]}: this model plays recordings, without a network's levels")
-
-
-def _check_combination(controls: MultiresControls, fewer_levels: bool) -> None:
-    """Raise ModelError for controls that exclude one another."""
-    given = [name for name in ("path", "keyframes", "like", "keep") if controls[name] is not None]
-    if len(given) > 1:
-        raise ModelError(f"{' and '.join(given)}: give one of them")
-    if fewer_levels and given:
-        raise ModelError(f"{given[0]} goes with all levels: leave levels away")
-    if fewer_levels and controls["speaker"] is not None:
-        raise ModelError("speaker goes with all levels: coarse ones move the reference skeleton")
-    if given == ["keep"] and controls["speaker"] is not None:
-        raise ModelError("keep cannot be combined with speaker: the clips set the bone lengths")
 
 
 def _own_seconds(

@@ -90,12 +90,18 @@ class TrainingSequence:
         motion: (T, X) float32 motion vectors, not normalised.
         condition: (T, C) float32.
         is_paired: False for unpaired motion.
+        recording: index of the recording.
+        phase: number of its phase, from 0.
+        mirrored: whether it is a mirrored copy.
     """
 
     name: str
     motion: Rows
     condition: Rows
     is_paired: bool = True
+    recording: int = 0
+    phase: int = 0
+    mirrored: bool = False
 
     @property
     def n_frames(self) -> int:
@@ -111,68 +117,41 @@ Cut = tuple[int, int, int]
 """Index of a sequence, first frame and end."""
 
 
-@dataclass(frozen=True, eq=False)
-class Variant:
-    """A variant of a recording: part of its array.
-
-    Attributes:
-        which: index of the recording.
-        phase: number of its phase, from 0.
-        mirrored: whether it is a mirrored copy.
-        array: of the recording.
-        first: its first row in the array.
-        n_frames: number of its rows.
-    """
-
-    which: int
-    phase: int
-    mirrored: bool
-    array: Array
-    first: int
-    n_frames: int
-
-
-def variants_of(arrays: Sequence[Array]) -> list[Variant]:
-    """Return the variants of recordings in the order of training data, mirrored copies last."""
-    variants = []
-    for which, array in enumerate(arrays):
-        first = 0
-        for mirrored in (False, True)[: 1 + array.facts["mirrored"]]:
-            for phase, n_frames in enumerate(array.facts["lengths"]):
-                variants.append(Variant(which, phase, mirrored, array, first, n_frames))
-                first += n_frames
-    return sorted(variants, key=lambda variant: variant.mirrored)
-
-
 def sequences_of(
-    variants: Sequence[Variant],
+    arrays: Sequence[Array],
     speech: Sequence[Frames],
     conditions: Conditions,
     width: int,
     n_paired: int,
 ) -> tuple[TrainingSequence, ...]:
-    """Return variants as training data; their frames are not read yet.
+    """Return recordings and their variants, mirrored copies last; no frames are read yet.
 
     Args:
-        variants: of all recordings.
+        arrays: of each recording, see `VariantArrays`.
         speech: (S, T) of each phase of the paired recordings; empty without speech input.
         conditions: the layout of conditions.
         width: X, of a motion vector.
         n_paired: number of paired recordings, which are the first ones.
     """
-    phases = ((v.which, v.phase) for v in variants if not v.mirrored)
-    speech_of = dict(zip(phases, speech, strict=False))
-    n_speech, sequences = conditions.columns["speech"].stop, []
-    for variant in variants:
-        features, n_frames = speech_of.get((variant.which, variant.phase)), variant.n_frames
-        n_frames = n_frames if features is None else min(n_frames, features.shape[1])
-        rows = partial(StoredRows, variant.array, variant.first, n_frames)
-        name = variant.array.facts["id"]
-        name += f" (phase {variant.phase + 1})" if variant.phase else ""
-        name += " (mirrored)" if variant.mirrored else ""
-        motion, condition = rows(slice(0, width)), rows(slice(width, None), n_speech, features)
-        sequences.append(TrainingSequence(name, motion, condition, variant.which < n_paired))
-    return tuple(sequences)
+    phases = [(i, k) for i, array in enumerate(arrays) for k in range(len(array.facts["lengths"]))]
+    speech_of, n_speech = dict(zip(phases, speech, strict=False)), conditions.columns["speech"].stop
+    sequences = []
+    for i, array in enumerate(arrays):
+        first = 0
+        for mirrored in (False, True)[: 1 + array.facts["mirrored"]]:
+            for phase, length in enumerate(array.facts["lengths"]):
+                features = speech_of.get((i, phase))
+                n_frames = length if features is None else min(length, features.shape[1])
+                rows = partial(StoredRows, array, first, n_frames)
+                name = array.facts["id"]
+                name += f" (phase {phase + 1})" if phase else ""
+                name += " (mirrored)" if mirrored else ""
+                motion = rows(slice(0, width))
+                condition = rows(slice(width, None), n_speech, features)
+                about = i, phase, mirrored
+                sequences.append(TrainingSequence(name, motion, condition, i < n_paired, *about))
+                first += length
+    return tuple(sorted(sequences, key=lambda sequence: sequence.mirrored))
 
 
 def stored_sequences(
@@ -189,13 +168,13 @@ def stored_sequences(
     Raises:
         ConfigError: an array is missing or not whole.
     """
-    folder, speech = ArrayFolder(config.arrays_folder), []
-    variants = variants_of(folder.find_all((*names["motion"], *names["unpaired"])))
+    folder, speech = ArrayFolder(config.arrays_folder), list[Frames]()
+    motion, unpaired = (folder.find_all(names[kind]) for kind in ("motion", "unpaired"))
     if conditions.conditioner is not None:
-        lengths = [variant.n_frames for variant in variants if not variant.mirrored]
         arrays = folder.find_all(names["speech"])
-        speech = speech_frames(arrays, conditions.conditioner, lengths[: len(arrays)])
-    return sequences_of(variants, speech, conditions, width, len(names["motion"]))
+        lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
+        speech += speech_frames(arrays, conditions.conditioner, lengths)
+    return sequences_of([*motion, *unpaired], speech, conditions, width, len(motion))
 
 
 def motion_of(

@@ -16,10 +16,8 @@ from gesturekit.diffusion.training.data import (
     Cut,
     TrainingData,
     TrainingSequence,
-    Variant,
     motion_of,
     sequences_of,
-    variants_of,
     with_state,
 )
 from gesturekit.diffusion.training.recordings import (
@@ -72,20 +70,19 @@ def load_training_data(
     if conditioner is not None:
         lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
         frames = speech_frames(spoken, conditioner, lengths)
-    variants, width = variants_of([*motion, *unpaired]), representation.n_features
-    recordings = sequences_of(variants, frames, conditions, width, len(motion))
+    width, arrays = representation.n_features, [*motion, *unpaired]
+    recordings = sequences_of(arrays, frames, conditions, width, len(motion))
     sampled = stored = None
     if corpus.is_in_memory:
         recordings = tuple(recording.in_memory() for recording in recordings)
     else:
-        sampled = _sampled(corpus, variants, recordings, fps)
+        sampled = _sampled(corpus, recordings, fps)
         kinds = {"motion": motion, "speech": spoken, "unpaired": unpaired}
         stored = {kind: names_of(arrays) for kind, arrays in kinds.items()}
     normaliser = _normaliser(like, representation, motion_of(recordings, sampled), fps)
     process = None
     if config.state:
-        about = variants, recordings, sampled, conditions, representation
-        process = _fit_state(config, corpus, *about)
+        process = _fit_state(config, corpus, recordings, sampled, conditions, representation)
         recordings = tuple(with_state(r, process, representation) for r in recordings)
         conditions = replace(conditions, state=process.channels)
     seconds = [sum((a.facts["seconds"] for a in m), 0.0) for m in (motion, unpaired)]
@@ -245,9 +242,7 @@ def _speech(
     return speech.fit(clips, known), spoken
 
 
-def _sampled(
-    corpus: Corpus, variants: Sequence[Variant], recordings: Sequence[TrainingSequence], fps: float
-) -> tuple[Cut, ...]:
+def _sampled(corpus: Corpus, recordings: Sequence[TrainingSequence], fps: float) -> tuple[Cut, ...]:
     """Return the parts of recordings on disk from which statistics are computed."""
     sample: dict[int, list[Excerpt]] = {}
     for excerpt in corpus.recordings.excerpts or ():
@@ -255,17 +250,16 @@ def _sampled(
     for excerpt in corpus.unpaired_excerpts:
         sample.setdefault(len(corpus.recordings.items) + excerpt.index, []).append(excerpt)
     return tuple(
-        (i, *excerpt.frames(fps, recordings[i].n_frames))
-        for i, variant in enumerate(variants)
+        (i, *excerpt.frames(fps, recording.n_frames))
+        for i, recording in enumerate(recordings)
         # The other phases of an excerpt are almost the same motion.
-        for excerpt in sample.get(variant.which, ()) * (variant.phase == 0)
+        for excerpt in sample.get(recording.recording, ()) * (recording.phase == 0)
     )
 
 
 def _fit_state(
     config: DiffusionConfig,
     corpus: Corpus,
-    variants: Sequence[Variant],
     recordings: Sequence[TrainingSequence],
     sampled: Sequence[Cut] | None,
     conditions: Conditions,
@@ -279,11 +273,12 @@ def _fit_state(
     channels = StateChannels.find(representation.skeleton, representation.joints)
     recorded = []
     for i, start, stop in sampled or [(i, 0, r.n_frames) for i, r in enumerate(recordings)]:
-        if variants[i].mirrored or not recordings[i].is_paired:
+        sequence = recordings[i]
+        if sequence.mirrored or not sequence.is_paired:
             continue
-        item = items[variants[i].which]
-        values = measured_state(recordings[i].motion[start:stop], representation, channels, fps)
-        speech = recordings[i].condition[start:stop][:, conditions.columns["speech"]]
+        item = items[sequence.recording]
+        values = measured_state(sequence.motion[start:stop], representation, channels, fps)
+        speech = sequence.condition[start:stop][:, conditions.columns["speech"]]
         style = conditions.styles.index(item.style or "") if conditions.styles else None
         recorded.append(RecordedState(values, speech.T, item.take, (item.speaker, style)))
     return StateProcess.fit(channels, recorded, fps, conditions.conditioner)
