@@ -63,7 +63,7 @@ __all__, __getattr__, __dir__ = attach(
         "patch_features": "metrics.patches",
         "patch_scores": "metrics.patches",
         "raw_fgd": "metrics.frechet.frechet",
-        "read_answers": "statistics.answers",
+        "read_answers": "statistics.ratings",
         "read_ratings": "statistics.ratings",
         "root_relative": "metrics.similarity",
         "speech_envelope": "metrics.sync",

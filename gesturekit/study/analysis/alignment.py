@@ -14,11 +14,7 @@ import numpy as np
 
 from gesturekit.evaluation.statistics.answers import MISMATCHED, Answer
 from gesturekit.evaluation.statistics.intervals import holm
-from gesturekit.study.analysis.significance import (
-    Estimate,
-    mean_test,
-    share,
-)
+from gesturekit.study.analysis.significance import Estimate, mean_test, share
 from gesturekit.study.analysis.votes import Votes
 
 

@@ -1,11 +1,11 @@
-"""Significance tests, from scipy and statsmodels, and the sample size that a difference needs."""
+"""Significance tests and intervals over raters and clips, and the sample size of a study."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import combinations
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class Anova:
     Attributes:
         f, p: F statistic and its p-value.
         between, within: degrees of freedom.
-        tukey: {(i, j), i < j: p-value} by indices of groups.
+        tukey: {(i, j), i < j: p-value} by indices of groups; {} if one has a single answer.
     """
 
     f: float
@@ -38,23 +38,6 @@ class Anova:
     between: int
     within: int
     tukey: dict[tuple[int, int], float]
-
-
-def statsmodels_module(name: str) -> Any:
-    """Import a module of statsmodels.
-
-    Raises:
-        ConfigError: statsmodels is not installed.
-    """
-    import importlib
-
-    try:
-        return importlib.import_module(f"statsmodels.{name}")
-    except ImportError as error:
-        raise ConfigError(
-            f"the analysis of user studies needs statsmodels ({error}): "
-            "pip install 'gesturekit[study]'"
-        ) from None
 
 
 def mean_test(
@@ -133,14 +116,26 @@ def share(scores: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> Estimate:
     units = [len(np.unique(unit)) for unit in (rater, clip)]
     if units[0] < 2:
         return Estimate(value, float("nan"), float("nan"))
-    n = float(min(count for count in units if count > 1))
+    n, z = float(min(count for count in units if count > 1)), float(norm.ppf(0.975))
     if 0.0 < value < 1.0:
         variance, freedom = _variance((won - value) / len(won), rater, clip)
-        wider = (t.ppf(0.975, freedom) / norm.ppf(0.975)) ** 2
+        wider = (t.ppf(0.975, freedom) / z) ** 2
         n = min(float(len(won)), value * (1.0 - value) / max(variance * wider, 1e-12))
-    wilson = statsmodels_module("stats.proportion").proportion_confint
-    low, high = wilson(value * n, n, method="wilson")
-    return Estimate(value, float(low), float(high))
+    middle = (value + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z * math.sqrt(value * (1 - value) / n + (z / (2 * n)) ** 2) / (1 + z**2 / n)
+    return Estimate(value, max(0.0, middle - half), min(1.0, middle + half))
+
+
+def mean_estimate(values: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> Estimate:
+    """Return the mean of ratings with its 95 % interval over raters and clips; see `mean_test`."""
+    from scipy.stats import t
+
+    mean = float(values.mean())
+    if len(np.unique(rater)) < 2:
+        return Estimate(mean, float("nan"), float("nan"))
+    variance, freedom = _variance((values - mean) / len(values), rater, clip)
+    half = float(t.ppf(0.975, freedom)) * math.sqrt(variance)
+    return Estimate(mean, mean - half, mean + half)
 
 
 def anova(scores: np.ndarray, group: np.ndarray) -> Anova | None:
@@ -150,24 +145,19 @@ def anova(scores: np.ndarray, group: np.ndarray) -> Anova | None:
         scores: (n,) scores.
         group: (n,) index of the group of each.
     """
-    groups = np.unique(group)
-    if len(groups) < 2 or all(np.ptp(scores[group == g]) == 0 for g in groups):
-        return None
-    formula = statsmodels_module("formula.api")
-    import pandas
+    from scipy.stats import f_oneway, tukey_hsd
 
-    model = formula.ols("score ~ C(group)", pandas.DataFrame({"score": scores, "group": group}))
-    table = statsmodels_module("stats.anova").anova_lm(model.fit())
-    found = statsmodels_module("stats.multicomp").pairwise_tukeyhsd(scores, group)
-    levels = [int(level) for level in found.groupsunique]
-    pairs = [(i, j) for at, i in enumerate(levels) for j in levels[at + 1 :]]
-    return Anova(
-        f=float(table["F"].iloc[0]),
-        p=float(table["PR(>F)"].iloc[0]),
-        between=int(table["df"].iloc[0]),
-        within=int(table["df"].iloc[1]),
-        tukey=dict(zip(pairs, map(float, found.pvalues), strict=True)),
-    )
+    numbers = np.unique(group)
+    groups = [scores[group == number] for number in numbers]
+    if len(groups) < 2 or all(np.ptp(values) == 0 for values in groups):
+        return None
+    f, p = f_oneway(*groups)
+    tukey = {}
+    if min(map(len, groups)) > 1:  # as scipy needs
+        pairs = tukey_hsd(*groups).pvalue
+        for i, j in combinations(range(len(groups)), 2):
+            tukey[int(numbers[i]), int(numbers[j])] = float(pairs[i, j])
+    return Anova(float(f), float(p), len(groups) - 1, len(scores) - len(groups), tukey)
 
 
 MOST_RATERS, MOST_CLIPS = 100_000, 10_000
@@ -228,6 +218,8 @@ def power_of(expected: Expected, raters: int, design: Design) -> float:
         raters: raters who pass the attention checks; at least 2.
         design: the study. The level is 0.05 divided by its comparisons, Holm's first step.
     """
+    from scipy.stats import nct, t
+
     decided = 1 - expected.ties
     mean = decided * (2 * expected.win_rate - 1) * (1 + expected.clear)
     variance = decided * (1 + 3 * expected.clear) - mean**2  # a score is 2, 1, 0, -1 or -2
@@ -237,9 +229,9 @@ def power_of(expected: Expected, raters: int, design: Design) -> float:
     total = over_raters + over_clips + chance
     spread = over_raters**2 / (raters - 1) + chance**2 / (n - 1)
     spread += over_clips**2 / max(design.clips - 1, 1)
-    test = statsmodels_module("stats.power").TTestPower()
-    effect, level = mean / math.sqrt(variance * total), ALPHA / design.comparisons
-    return float(test.power(effect, 1, level, df=total**2 / spread))
+    freedom, effect = total**2 / spread, mean / math.sqrt(variance * total)
+    critical = t.isf(ALPHA / design.comparisons / 2, freedom)
+    return float(nct.sf(critical, freedom, effect) + nct.cdf(-critical, freedom, effect))
 
 
 def raters_needed(expected: Expected, design: Design, power: float = 0.8) -> int | None:

@@ -1,4 +1,4 @@
-// The answers of one rater as CSV: GENEA's columns, then our own (see evaluation/agreement/answers.py).
+// The answers of one rater as CSV: GENEA's columns, then our own (see evaluation/statistics/answers.py).
 
 export const COLUMNS = [
   "user", "input_code", "model_a", "model_b", "winner", "is_strong", "juiceOptions", "juiceOtherReason",
