@@ -55,7 +55,7 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, tmp_path, r
 
 
 def test_ratings_of_sliders_are_analysed_by_the_same_command(tmp_path, run):
-    """Two raters agree on a over b by 30 and 10; b and c differ by 20 and -20; one fails a check."""
+    """Two raters agree on a over b, 30 and 10; b and c differ by 20 and -20; one fails a check."""
     lines = ["rater,system,clip,question,value,seconds,checks,checks_failed,comment"]
     for user, values, failed in (
         ("u", (70, 40, 20), 0),

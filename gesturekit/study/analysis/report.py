@@ -39,8 +39,8 @@ beside p, not in its place.</li>
 <li>Bradley-Terry model by logistic regression on weighted wins: clear 4, slight 2, a tie 1 to each
 side. Elo = 400 &middot; strength / ln 10 + 1000.</li>
 <li>Ratings (sliders of several systems at once, HEMVIP, Jonell et al. 2021): any two systems that a
-rater rated for a clip are compared. Means have intervals over raters and clips by the same variance;
-p tests the mean difference; for Elo, the higher rating is a slight preference.</li>
+rater rated for a clip are compared. Means have intervals over raters and clips by the same
+variance; p tests the mean difference; for Elo, the higher rating is a slight preference.</li>
 <li>Alignment: clear preferences weigh 2, ties half; chance is 50 %. Two systems are compared by the
 test of their mean scores over raters and clips.</li>
 <li>Intervals of merit, Elo and alignment: bootstrap over raters and clips (Owen 2007), 95 %,

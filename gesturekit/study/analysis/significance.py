@@ -48,7 +48,7 @@ def mean_test(
     Answers of one rater are not independent, nor are those on one clip. The variance of the mean is
     therefore that over raters plus that over clips less that over the pairs of both (Cameron,
     Gelbach and Miller 2011), and at least that over either alone; degrees of freedom are
-    Satterthwaite's. With a single clip, it is that over raters.
+    Satterthwaite's of the sum of the first two. With a single clip, it is that over raters.
 
     Args:
         scores: (n,) answers.
@@ -82,18 +82,17 @@ def _variance(influence: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> tup
         influence: (n,) what each answer adds to the mean, less its expectation.
         rater, clip: (n,) index of the rater and of the clip of each answer.
     """
-    clips = int(clip.max()) + 1
-    pair = np.unique(rater * clips + clip, return_inverse=True)[1]
+    pair = np.unique(rater * (int(clip.max()) + 1) + clip, return_inverse=True)[1]
     found = []
     for unit in (rater, clip, pair):
         sums = np.bincount(unit, influence)[np.bincount(unit) > 0]
         n = len(sums)
         found.append((float((sums**2).sum()) * n / (n - 1) if n > 1 else 0.0, max(n - 1, 1)))
-    (raters, _), (over_clips, _), (pairs, pairs_free) = found
-    variance = max(raters + over_clips - pairs, raters, over_clips)
-    parts = [max(value - pairs, 0.0) ** 2 / free for value, free in found[:2]]
-    spread = sum(parts) + pairs**2 / pairs_free
-    return variance, variance**2 / spread if spread > 0.0 else 1.0
+    (raters, free), (clips, clips_free), (pairs, _) = found
+    # Without the pairs: equal systems then differ in 3 to 7 % of studies with 12 clips, too.
+    spread = raters**2 / free + clips**2 / clips_free
+    freedom = (raters + clips) ** 2 / spread if spread > 0.0 else 1.0
+    return max(raters + clips - pairs, raters, clips), min(freedom, max(free, clips_free))
 
 
 def share(scores: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> Estimate:
