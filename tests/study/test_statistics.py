@@ -219,8 +219,15 @@ def test_the_power_is_that_of_simulated_studies():
     raters = raters_needed(expected, design)
     assert power_of(expected, raters, design) >= 0.8 > power_of(expected, raters - 1, design)
     rng = np.random.default_rng(0)
-    # Normal scores with this mean and variance: .8 · .3 · 1.4 and .8 · 2.2 less its square.
-    sd = (0.8 * 2.2 - 0.336**2) ** 0.5
+    preference, slight, clear = expected.thresholds()
+    drawn = preference + rng.standard_normal(400_000)
+    scores = np.sign(drawn) * np.digitize(abs(drawn), (slight, clear))
+    shares = [np.mean(scores > 0), np.mean(scores < 0), np.mean(abs(scores) == 2)]
+    assert shares == pytest.approx([0.8 * 0.65, 0.8 * 0.35, 0.8 * 0.4], abs=0.004)
+    mean, variance = expected.moments()
+    assert (mean, variance) == pytest.approx((scores.mean(), scores.var()), abs=0.01)
+    assert Expected(0.65, 0.2, 0.0, 0.05, 0.1).moments()[0] == pytest.approx(0.8 * 0.3)
+    assert Expected(0.65, 0.2, 1.0, 0.05, 0.1).moments()[0] == pytest.approx(0.8 * 0.6)
     found = []
     for _ in range(600):
         rater = np.repeat(np.arange(raters), 6)
@@ -228,6 +235,6 @@ def test_the_power_is_that_of_simulated_studies():
         noise = np.sqrt(0.05) * rng.standard_normal(raters)[rater]
         noise += np.sqrt(0.1) * rng.standard_normal(24)[clip]
         noise += np.sqrt(0.85) * rng.standard_normal(len(rater))
-        found.append(mean_test(0.336 + sd * noise, rater, clip) < 0.05)
+        found.append(mean_test(mean + variance**0.5 * noise, rater, clip) < 0.05)
     assert np.mean(found) == pytest.approx(0.8, abs=0.08)
     assert raters_needed(expected, Design(answers=1, clips=3)) is None, "three clips say too little"

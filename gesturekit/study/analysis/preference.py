@@ -7,6 +7,7 @@ over all answers in which the system was shown.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -198,7 +199,7 @@ def analyse_preference(
 
     estimates = votes.estimates(merit_and_elo, rounds, seed)
     shown, k = merit_scores(votes.counts)[1], len(votes.systems)
-    elos = estimates[k:] or [Estimate(float("nan"), float("nan"), float("nan"))] * k
+    elos = estimates[k:] or [Estimate(math.nan, math.nan, math.nan)] * k
     merits = estimates[:k]
     if ratings:
         merits, shown = zip(*(_mean_rating(name, ratings) for name in votes.systems), strict=True)
@@ -239,26 +240,22 @@ def _responses(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
     return scores.astype(float), np.concatenate([votes.first, votes.second])
 
 
+def compare(votes: Votes, a: int, b: int, p_tukey: float = math.nan) -> PairScore:
+    """Return the comparison of two systems, given by their indices; p is not adjusted."""
+    pair = votes.between(a, b)
+    p = mean_test(*pair.answers)
+    return PairScore(
+        votes.systems[a], votes.systems[b], pair.tally, pair.n_raters, share(*pair.answers),
+        float(pair.value.mean()), p, p, p_tukey,
+    )  # fmt: skip
+
+
 def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
     tukey = variance.tukey if variance else {}
-    found = []
+    pairs = []
     for i, j in combinations(range(len(votes.systems)), 2):
         a, b = (i, j) if votes.wins[i, j] >= votes.wins[j, i] else (j, i)
-        pair = votes.between(a, b)
-        if not len(pair.score):
-            continue
-        found.append(
-            PairScore(
-                votes.systems[a],
-                votes.systems[b],
-                pair.tally,
-                pair.n_raters,
-                share(*pair.answers),
-                float(pair.value.mean()),
-                mean_test(*pair.answers),
-                float("nan"),
-                tukey.get((i, j), float("nan")),
-            )
-        )
-    adjusted = holm([pair.p for pair in found]).tolist()
-    return [replace(pair, p_holm=p) for pair, p in zip(found, adjusted, strict=True)]
+        if votes.compared[i, j]:
+            pairs.append(compare(votes, a, b, tukey.get((i, j), math.nan)))
+    adjusted = holm([pair.p for pair in pairs]).tolist()
+    return [replace(pair, p_holm=p) for pair, p in zip(pairs, adjusted, strict=True)]

@@ -104,13 +104,12 @@ def _figures(preference: Preference | None) -> dict[str, Any] | None:
     if preference is None:
         return None
     anova = preference.anova
+    df = anova and [anova.between, anova.within]
     return {
         "systems": [asdict(system) for system in preference.systems],
         "pairs": [asdict(pair) for pair in preference.pairs],
         "not_compared": preference.not_compared,
-        "anova": {"f": anova.f, "p": anova.p, "df": [anova.between, anova.within]}
-        if anova
-        else None,
+        "anova": anova and {"f": anova.f, "p": anova.p, "df": df},
     }
 
 
@@ -180,28 +179,10 @@ def _preference_sections(preference: Preference, style: str) -> list[str]:
         head[1:6] = ["Higher", "Equal", "Lower"]
         for row in rows:
             row[1:6] = row[2:5]
-    pairs = _table(head, rows) + "<h3>Win, tie, loss</h3>" + _matrix(preference)
+    pairs = _table(head, rows)
     what = "Answers for the first and for the second system; the win rate is the first one's."
     titles = (f"{style}: systems", f"{style}: pairs") if style else ("Systems", "Pairs")
     return [section(titles[0], lead, systems), section(titles[1], what, pairs)]
-
-
-def _matrix(preference: Preference) -> str:
-    """Return the win-tie-loss matrix: the row's system against the column's."""
-    votes = preference.votes
-    names = [system.name for system in preference.systems]
-    place = [votes.systems.index(name) for name in names]
-    wins, ties = votes.wins.astype(int), votes.counts[2].astype(int)
-
-    def cell(i: int, j: int) -> str:
-        if i == j:
-            return ""
-        if votes.compared[i, j] == 0:
-            return "not compared"
-        return f"{wins[i, j]} · {ties[i, j]} · {wins[j, i]}"
-
-    rows = ((name, *(cell(i, j) for j in place)) for name, i in zip(names, place, strict=True))
-    return _table(("", *names), rows)
 
 
 def _alignment_section(alignment: Alignment) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -89,10 +90,19 @@ def _variance(influence: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> tup
         n = len(sums)
         found.append((float((sums**2).sum()) * n / (n - 1) if n > 1 else 0.0, max(n - 1, 1)))
     (raters, free), (clips, clips_free), (pairs, _) = found
-    # Without the pairs: equal systems then differ in 3 to 7 % of studies with 12 clips, too.
-    spread = raters**2 / free + clips**2 / clips_free
+    variance = max(raters + clips - pairs, raters, clips)
+    return variance, _freedom(raters, free, clips, clips_free)
+
+
+def _freedom(raters: float, raters_free: int, clips: float, clips_free: int) -> float:
+    """Return the degrees of freedom of the variances over raters and over clips together.
+
+    Satterthwaite's of their sum, and at most those of one of them. Leaving out the pairs of both
+    keeps false positives below 7 % with 12 clips (benchmarks/study_false_positives.py).
+    """
+    spread = raters**2 / raters_free + clips**2 / max(clips_free, 1)
     freedom = (raters + clips) ** 2 / spread if spread > 0.0 else 1.0
-    return max(raters + clips - pairs, raters, clips), min(freedom, max(free, clips_free))
+    return min(freedom, max(raters_free, clips_free))
 
 
 def share(scores: np.ndarray, rater: np.ndarray, clip: np.ndarray) -> Estimate:
@@ -164,7 +174,7 @@ MOST_RATERS, MOST_CLIPS = 100_000, 10_000
 
 @dataclass(frozen=True)
 class Expected:
-    """Expected answers to one comparison.
+    """Expected answers to one comparison: normal preferences, cut into the five answers.
 
     Attributes:
         win_rate: share of preferences for the better system, ties excluded; above 0.5.
@@ -193,6 +203,29 @@ class Expected:
                 "below 1"
             )
 
+    def thresholds(self) -> tuple[float, float, float]:
+        """Return the mean preference in standard deviations, and the least slight and clear one."""
+        from scipy.optimize import brentq
+        from scipy.stats import norm
+
+        decided = 1 - self.ties
+        above, below = norm.isf(decided * self.win_rate), norm.ppf(decided * (1 - self.win_rate))
+        mean, slight = -(above + below) / 2, (above - below) / 2
+
+        def surplus(clear: float) -> float:
+            return float(norm.sf(clear - mean) + norm.cdf(-clear - mean) - self.clear * decided)
+
+        return mean, slight, brentq(surplus, slight - 1e-9, 40.0)
+
+    def moments(self) -> tuple[float, float]:
+        """Return the mean of the scores 2, 1, 0, -1 and -2, and their variance."""
+        from scipy.stats import norm
+
+        preference, *limits = self.thresholds()
+        won, lost = norm.sf(np.array(limits) - preference), norm.cdf(-np.array(limits) - preference)
+        mean = float((won - lost).sum())
+        return mean, float((won + lost) @ [1.0, 3.0]) - mean**2
+
 
 @dataclass(frozen=True)
 class Design:
@@ -219,16 +252,12 @@ def power_of(expected: Expected, raters: int, design: Design) -> float:
     """
     from scipy.stats import nct, t
 
-    decided = 1 - expected.ties
-    mean = decided * (2 * expected.win_rate - 1) * (1 + expected.clear)
-    variance = decided * (1 + 3 * expected.clear) - mean**2  # a score is 2, 1, 0, -1 or -2
+    mean, variance = expected.moments()
     n = raters * design.answers
     chance = (1 - expected.rater_share - expected.clip_share) / n
     over_raters, over_clips = expected.rater_share / raters, expected.clip_share / design.clips
-    total = over_raters + over_clips + chance
-    spread = over_raters**2 / (raters - 1) + chance**2 / (n - 1)
-    spread += over_clips**2 / max(design.clips - 1, 1)
-    freedom, effect = total**2 / spread, mean / math.sqrt(variance * total)
+    freedom = _freedom(over_raters + chance, raters - 1, over_clips + chance, design.clips - 1)
+    effect = mean / math.sqrt(variance * (over_raters + over_clips + chance))
     critical = t.isf(ALPHA / design.comparisons / 2, freedom)
     return float(nct.sf(critical, freedom, effect) + nct.cdf(-critical, freedom, effect))
 
@@ -246,9 +275,7 @@ def raters_needed(expected: Expected, design: Design, power: float = 0.8) -> int
     """
     if not 0 < power < 1:
         raise ConfigError(f"power is {power}: give a probability between 0 and 1, such as 0.8")
-    tried = range(2, MOST_RATERS + 1)
-    at = bisect_left(tried, power, key=lambda n: power_of(expected, n, design))
-    return tried[at] if at < len(tried) else None
+    return _least(MOST_RATERS, power, lambda n: power_of(expected, n, design))
 
 
 def clips_needed(expected: Expected, design: Design, power: float = 0.8) -> int | None:
@@ -256,8 +283,12 @@ def clips_needed(expected: Expected, design: Design, power: float = 0.8) -> int 
 
     Arguments as of `raters_needed`; the clips of the design do not matter.
     """
-    tried = range(2, MOST_CLIPS + 1)
-    at = bisect_left(
-        tried, power, key=lambda n: power_of(expected, MOST_RATERS, replace(design, clips=n))
+    return _least(
+        MOST_CLIPS, power, lambda n: power_of(expected, MOST_RATERS, replace(design, clips=n))
     )
-    return tried[at] if at < len(tried) else None
+
+
+def _least(most: int, power: float, power_at: Callable[[int], float]) -> int | None:
+    """Return the smallest number from 2 with this power; None if the most are too few."""
+    at = 2 + bisect_left(range(2, most + 1), power, key=power_at)
+    return at if at <= most else None
