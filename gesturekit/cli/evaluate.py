@@ -334,6 +334,7 @@ def _evaluated(
             audio=options["audio"],
             semantic=options["semantic"],
             take_pattern=options["take_pattern"],
+            take_table=options["take_table"],
             protocol=options["protocol"] or "",
             baselines=[
                 name for name in comma_separated(options["baseline"]) if name not in folders
