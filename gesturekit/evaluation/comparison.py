@@ -62,7 +62,7 @@ from gesturekit.motion import Motion
 from gesturekit.wording import listed
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 PROTOCOLS = {
     "": GROUPS,
@@ -109,8 +109,9 @@ class EvaluationOptions:
     """Take only the cheap metrics (`cheap` in `definitions`): all that the verdict rests on."""
     variants: Variants = Variants()
     """Variants of the metrics."""
-    features: FeatureModel | None = None
-    """The feature extractor of `gesturekit fit-features`; without it, FGD is left out."""
+    features: Extractor | None = None
+    """The feature extractor of `gesturekit fit-features`, or BEAT2's (`load_extractor`); without
+    it, FGD is left out."""
     baselines: Sequence[str] = ()
     """Baselines to compare with, made from the recordings: "mean_pose" and "other_utterance"."""
     seed: int = 0

@@ -44,7 +44,7 @@ from gesturekit.evaluation.results import Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.levels import OTHER_SOUND
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 
 MISMATCHED = 3
@@ -96,7 +96,7 @@ class Measurer:
     reference: Path | Items
     fps: float
     length: float
-    features: FeatureModel | None
+    features: Extractor | None
     seed: int
     without: frozenset[str] = frozenset()
     local: frozenset[str] = frozenset()
