@@ -97,8 +97,9 @@ _USED_BY_SANITY = (
 )
 @click.option(
     "--features",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Feature model of gesturekit fit-features, for FGD.",
+    type=click.Path(path_type=Path),
+    help="Feature extractor for FGD: the folder of gesturekit fit-features, or BEAT2's weight file "
+    "(AESKConv_240_100.bin) for motion on the SMPL-X rig.",
 )
 @click.option(
     "--study",
@@ -324,7 +325,7 @@ def _evaluated(
     folders: dict[str, Path], recordings: Path | Items, options: Mapping[str, Any]
 ) -> Evaluation:
     """Run the evaluation with the options of the command line."""
-    from gesturekit.evaluation import FeatureModel, evaluate
+    from gesturekit.evaluation import evaluate, load_extractor
 
     features = options["features"]
     try:
@@ -334,11 +335,12 @@ def _evaluated(
             audio=options["audio"],
             semantic=options["semantic"],
             take_pattern=options["take_pattern"],
+            take_table=options["take_table"],
             protocol=options["protocol"] or "",
             baselines=[
                 name for name in comma_separated(options["baseline"]) if name not in folders
             ],
-            features=None if features is None else FeatureModel.load(features),
+            features=None if features is None else load_extractor(features),
             **_measuring(options, "recording"),
         )
     except KeyboardInterrupt:

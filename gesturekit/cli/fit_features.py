@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -37,17 +37,17 @@ if TYPE_CHECKING:
 @click.option(
     "--steps", type=click.IntRange(1), default=2300, show_default=True, help="Training steps."
 )
+@click.option(
+    "--weights",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Take published weights of this layout (GENEA's model_checkpoint_60.bin, Yoon's gen_dict) "
+    "instead of training; --joints names the joints that they were trained on.",
+)
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
 @existing_option("refuse")
 def command(
-    reference: tuple[Path, ...],
-    out: Path,
-    variant: str,
-    frames: int | None,
-    joints: str | None,
-    steps: int,
-    seed: int,
-    existing: str,
+    reference: tuple[Path, ...], out: Path, joints: str | None, existing: str, **options: Any
 ) -> int:
     """Train the autoencoder of the Fréchet gesture distance on your own recordings.
 
@@ -66,28 +66,32 @@ def command(
     logging.basicConfig(format="%(message)s")
     if is_left([out / f"feature_model.{kind}" for kind in ("safetensors", "json")], existing):
         return 0
-    sample, is_complete = _read(reference, seed)
+    sample, is_complete = _read(reference, options["seed"])
     names: str | list[str] | None = joints
     if joints is not None and joints not in ("body", "upper"):
         names = [name.strip() for name in joints.split(",") if name.strip()]
-    with Progress(total=steps, desc="Fitting", unit="step") as bar:
-        model = FeatureModel.fit(
-            sample.motions,
-            variant,
-            n_frames=frames,
-            joints=names,
-            steps=steps,
-            seed=seed,
-            progress=lambda step, loss: bar.update(),
-        )
+    if options["weights"] is not None:
+        model = FeatureModel.of_weights(sample.motions, options["weights"], joints=names)
+    else:
+        with Progress(total=options["steps"], desc="Fitting", unit="step") as bar:
+            model = FeatureModel.fit(
+                sample.motions,
+                options["variant"],
+                n_frames=options["frames"],
+                joints=names,
+                steps=options["steps"],
+                seed=options["seed"],
+                progress=lambda step, loss: bar.update(),
+            )
     model.save(out)
     if not sample.is_whole:
         used = sum(motion.duration for motion in sample.motions)
         click.echo(f"Fitted on a random {used / 60:.0f} of {sample.seconds / 60:.0f} minutes.")
+    windows, record = model.windows, model.training
     click.echo(
-        f"{out}: {variant}, {model.windows.n_frames} frames at {model.windows.fps:g} fps, "
-        f"{len(model.windows.bones)} bones, {model.training['windows']} windows; "
-        f"{100 * (1 - model.training['unexplained']):.0f} % reconstructed"
+        f"{out}: {windows.variant}, {windows.n_frames} frames at {windows.fps:g} fps, "
+        f"{len(windows.bones)} bones, {record['windows']} windows; "
+        f"{100 * (1 - record['unexplained']):.0f} % reconstructed"
     )
     click.echo(f"Fingerprint: {model.fingerprint}")
     return 0 if is_complete else 1

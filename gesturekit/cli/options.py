@@ -280,13 +280,20 @@ def parse_level_files(text: str) -> dict[str, Path]:
 
 
 def take_option(effect: str) -> Callable[..., Any]:
-    """Add --take-pattern; `effect` says what goes by takes."""
-    return click.option(
+    """Add --take-pattern and --take-table; `effect` says what goes by takes."""
+    pattern = click.option(
         "--take-pattern",
         metavar="REGEX",
         help="For takes (recording sessions) that were cut into files: take the session from the "
         f"name of each recording, by a group such as '(.*)_part[0-9]+'. {effect}",
     )
+    table = click.option(
+        "--take-table",
+        type=click.Path(path_type=Path),
+        metavar="FILE.csv",
+        help="Take the sessions from a table with the columns id,take instead.",
+    )
+    return lambda command: pattern(table(command))
 
 
 def existing_option(default: str, *, alias: bool = False, note: str = "") -> Callable[..., Any]:

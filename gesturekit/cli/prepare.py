@@ -104,12 +104,6 @@ def _seconds(text: str) -> float:
 )
 @take_option("Takes are held out as a whole.")
 @click.option(
-    "--take-table",
-    type=click.Path(path_type=Path),
-    metavar="FILE.csv",
-    help="Take the sessions from a table with the columns id,take instead.",
-)
-@click.option(
     "--tolerance",
     type=click.FloatRange(0),
     default=1.0,

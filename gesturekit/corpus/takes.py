@@ -5,23 +5,32 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.item import file_fingerprint
 from gesturekit.corpus.recording import Recording
-from gesturekit.errors import CorpusError, FormatError
+from gesturekit.errors import CorpusError, FormatError, GestureKitError
+from gesturekit.formats.sources import load
 from gesturekit.formats.tables import read_table
+from gesturekit.motion import Motion
 from gesturekit.wording import counted, did_you_mean, listed
 
 
 def name_takes(
     recordings: Sequence[Recording], pattern: str | None, table: str | os.PathLike[str] | None
 ) -> tuple[list[Recording], list[Problem]]:
-    """Return the recordings with their takes, and notes of those that the pattern does not match.
+    """Return the recordings with their takes, and problems with them.
+
+    Problems are recordings that the pattern does not match, speakers whose takes it merges, and
+    without pattern and table recordings that look like pieces of takes.
 
     A take is named by the table, else by the pattern, else by the layout of a public corpus; by
     default each recording is a take of its own. Recordings with the same sound or motion are of one
@@ -38,24 +47,135 @@ def name_takes(
             that is not there, or a recording that is named by neither.
     """
     ids = [recording.id for recording in recordings]
-    listed_takes = {} if table is None else _read(Path(table), ids)
-    named, unmatched = [], []
-    for recording in recordings:
-        take = listed_takes.get(recording.id)
-        if take is None and pattern is not None:
-            take = take_in(recording.id, pattern)
-            if not take:
-                unmatched.append(recording)
-        named.append(replace(recording, take=take or recording.take or recording.id))
-    if recordings and len(unmatched) == len(recordings):
-        raise CorpusError(
-            f"take pattern {pattern} matches none of {counted(len(recordings), 'recording')}, such "
-            f"as {recordings[0].id}"
-        )
+    takes = takes_of(ids, pattern, table)
+    named = [replace(r, take=takes.get(r.id) or r.take or r.id) for r in recordings]
     text = f"name does not match take pattern {pattern}: a take of its own"
-    notes = [Problem("note", recording.file, text) for recording in unmatched]
+    problems = [
+        Problem("note", recording.file, text)
+        for recording in recordings
+        if pattern is not None and recording.id not in takes
+    ]
+    said = merged_speakers([(r.id, r.speaker, r.take or "") for r in named if r.id in takes])
+    if pattern is None and table is None:
+        readers = {
+            r.id: partial(load, r.motion, r.reading)
+            for r in recordings
+            if r.take is None and r.motion is not None
+        }
+        said = pieces_of_takes(readers)
     joined, copies = _join_copies(named)
-    return joined, notes + copies
+    return joined, problems + [Problem("warning", None, text) for text in said] + copies
+
+
+def takes_of(
+    names: Sequence[str], pattern: str | None, table: str | os.PathLike[str] | None
+) -> dict[str, str]:
+    """Return {name: take} of the recordings that a table, or else a pattern, gives a take.
+
+    Args:
+        names: of recordings.
+        pattern, table: see `name_takes`.
+
+    Raises:
+        CorpusError: see `name_takes`.
+    """
+    takes = {} if table is None else _read(Path(table), names)
+    rest = [name for name in names if name not in takes]
+    found = {name: take_in(name, pattern) for name in rest} if pattern is not None else {}
+    if found and not any(found.values()):
+        raise CorpusError(
+            f"take pattern {pattern} matches none of {counted(len(rest), 'recording')}, such as "
+            f"{rest[0]}"
+        )
+    return takes | {name: take for name, take in found.items() if take}
+
+
+def merged_speakers(named: Iterable[tuple[str, str | None, str]]) -> list[str]:
+    """Return a sentence on takes that hold recordings of several speakers, if there are any.
+
+    Args:
+        named: recording, speaker and take; without a speaker, the folder in the name stands for it.
+    """
+    speakers: dict[str, set[str]] = defaultdict(set)
+    for name, speaker, take in named:
+        speakers[take].add(speaker or name.rpartition("/")[0])
+    mixed = [f"{take} ({listed(sorted(who))})" for take, who in speakers.items() if len(who) > 1]
+    if not mixed:
+        return []
+    return [
+        f"{counted(len(mixed), 'take')} with recordings of several speakers or folders: "
+        f"{listed(mixed, 3)}. If these are different sessions, let the take pattern take the "
+        "speaker too, such as '(.*/talk[0-9]+)'"
+    ]
+
+
+_PART = re.compile(
+    r"[_\-. ]?(?:part|chunk|segment|seg|piece|split|cut|clip)[_\-. ]?(?P<number>\d+)$", re.I
+)
+_NUMBER = re.compile(r"[_\-. ](?P<number>\d+)$")
+_READ = 3  # pairs of recordings whose poses are compared
+
+
+def pieces_of_takes(motions: Mapping[str, Callable[[], Motion]]) -> list[str]:
+    """Return a question about recordings that look like pieces of takes, if there are any.
+
+    They are named so (`a_part00`, `a_chunk3`), or are numbered and begin in the pose in which the
+    one before ends.
+
+    Args:
+        motions: what reads the motion of each recording, by name.
+    """
+    for ending, why in ((_PART, "their names say so"), (_NUMBER, "each continues another")):
+        pieces: dict[str, dict[int, str]] = defaultdict(dict)
+        forms: dict[str, None] = {}
+        for name in motions:
+            match = ending.search(name)
+            if match and name[: match.start()].rpartition("/")[2]:
+                pieces[name[: match.start()]][int(match["number"])] = name
+                forms[re.escape(name[match.start() : match.start("number")]) + r"\d+"] = None
+        cut = {stem: names for stem, names in pieces.items() if len(names) > 1}
+        if cut and (ending is _PART or _continue(cut.values(), motions)):
+            form = next(iter(forms)) if len(forms) == 1 else f"(?:{'|'.join(forms)})"
+            takes = len(motions) - sum(len(names) - 1 for names in cut.values())
+            return [
+                f"{counted(len(motions), 'file')}, perhaps {counted(takes, 'recording')}: "
+                f"{listed(sorted(next(iter(cut.values())).values()), 3)} look like pieces of one "
+                f"take ({why}), but count as takes of their own, which flatters held-out pieces "
+                f"and narrows intervals. If they are, give --take-pattern '(.*){form}'"
+            ]
+    return []
+
+
+def _continue(
+    cut: Iterable[Mapping[int, str]], motions: Mapping[str, Callable[[], Motion]]
+) -> bool:
+    """Return whether most of some numbered recordings begin as the one before ends."""
+    following = [
+        (names[a], names[b]) for names in cut for a, b in pairwise(sorted(names)) if b == a + 1
+    ]
+    chosen = following[:: max(1, len(following) // _READ)][:_READ]
+    try:
+        found = [_continues(motions[before](), motions[after]()) for before, after in chosen]
+    except (GestureKitError, OSError):  # reported where all motions are read
+        return False
+    return 2 * sum(found) > len(found)
+
+
+def _continues(before: Motion, after: Motion) -> bool:
+    """Return whether a motion begins as another one ends, and not as that one begins."""
+    if before.rotations.shape[1] != after.rotations.shape[1]:
+        return False
+
+    def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the mean angle of joints between poses (..., J, 4), radians."""
+        return 2.0 * np.arccos(np.clip(np.abs((a * b).sum(axis=-1)), 0.0, 1.0)).mean(axis=-1)
+
+    poses, first = before.rotations, after.rotations[0]
+    steps = apart(poses[1:], poses[:-1]) if len(poses) > 1 else np.zeros(1)
+    walked = np.linalg.norm(np.diff(before.translation, axis=0), axis=-1)
+    gap = np.linalg.norm(after.translation[0] - before.translation[-1])
+    near = apart(poses[-1], first) <= 2.0 * steps.max() and gap <= 2.0 * walked.max(initial=0.01)
+    return bool(near and apart(poses[-1], first) < 0.5 * apart(poses[0], first))
 
 
 def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Problem]]:

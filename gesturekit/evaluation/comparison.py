@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gesturekit.corpus.takes import neighbours, take_in
+from gesturekit.corpus.takes import merged_speakers, neighbours, pieces_of_takes, takes_of
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -40,6 +41,7 @@ from gesturekit.evaluation.pairs import (
     Excluded,
     ItemInterval,
     Items,
+    Pair,
     Pairs,
     find_pairs,
     recordings,
@@ -55,11 +57,12 @@ from gesturekit.evaluation.statistics.intervals import interval_over_samples
 from gesturekit.evaluation.statistics.model_metrics import metric_results
 from gesturekit.evaluation.statistics.questions import answer, verdict
 from gesturekit.field_docs import build_options
+from gesturekit.formats.sources import load
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 PROTOCOLS = {
     "": GROUPS,
@@ -98,14 +101,17 @@ class EvaluationOptions:
     sessions) that were cut into files: the take is its group, see
     `gesturekit.corpus.takes.take_in`. By default items of a manifest have their takes, and each
     file of a folder is a take of its own."""
+    take_table: str | Path | None = None
+    """CSV table with the columns id and take, instead of a pattern or beside it."""
     protocol: str = ""
     """ "", or "multires" or "lda", the evaluations of the two papers."""
     cheap: bool = False
     """Take only the cheap metrics (`cheap` in `definitions`): all that the verdict rests on."""
     variants: Variants = Variants()
     """Variants of the metrics."""
-    features: FeatureModel | None = None
-    """The feature extractor of `gesturekit fit-features`; without it, FGD is left out."""
+    features: Extractor | None = None
+    """The feature extractor of `gesturekit fit-features`, or BEAT2's (`load_extractor`); without
+    it, FGD is left out."""
     baselines: Sequence[str] = ()
     """Baselines to compare with, made from the recordings: "mean_pose" and "other_utterance"."""
     seed: int = 0
@@ -170,12 +176,13 @@ def evaluate(
     split = reference.split or None if isinstance(reference, Items) else None
     if isinstance(reference, Items) and split and chosen.audio is not None:
         raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
-    found = _pairs(folders, reference, chosen)
+    takes = _takes(reference, chosen)
+    found = _pairs(folders, reference, chosen, takes)
     fps = _frame_rate(next(iter(found.values())))
     found |= baseline_pairs(chosen.baselines, found, reference, fps)
     compared = _compared(reference, chosen.protocol)
     statistics = ReferenceStatistics.of(compared, fps)
-    measurer = _measurer(found, statistics, compared, reference, fps, chosen)
+    measurer = _measurer(found, statistics, compared, reference, fps, takes, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
     places = {label: folders.get(label, Path(label)) for label in found}
     known = measurer.ceilings(), measurer.likeness_levels()
@@ -205,8 +212,33 @@ def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str
         models[0].notes += [beside] if beside else []
 
 
+def _takes(reference: Path | Items, options: EvaluationOptions) -> dict[str, str]:
+    """Return {recording: take} of those that the options give a take."""
+    others = [item.id for item in reference.others] if isinstance(reference, Items) else []
+    names = [*recordings(reference), *others]
+    return takes_of(names, options.take_pattern, options.take_table)
+
+
+def _about_takes(pairs: Sequence[Pair], takes: Mapping[str, str]) -> list[str]:
+    """Return what is to be said on the takes of the recordings of clips."""
+    if takes:
+        return merged_speakers((pair.stem, pair.speaker, pair.take) for pair in pairs)
+    own = {pair.stem: pair.reference for pair in pairs if pair.take == pair.stem}
+    return pieces_of_takes(
+        {
+            name: source.item.load_motion
+            if isinstance(source, ItemInterval)
+            else partial(load, source, {})
+            for name, source in own.items()
+        }
+    )
+
+
 def _pairs(
-    folders: Mapping[str, Path], reference: Path | Items, options: EvaluationOptions
+    folders: Mapping[str, Path],
+    reference: Path | Items,
+    options: EvaluationOptions,
+    takes: Mapping[str, str],
 ) -> dict[str, Pairs]:
     """Return {label: clips of the recordings that all models have}."""
     audio, semantic = (p if p is None else Path(p) for p in (options.audio, options.semantic))
@@ -215,12 +247,12 @@ def _pairs(
         for label, folder in folders.items()
     }
     keep_common_recordings(found)
-    if options.take_pattern is not None:
-        for pairs in found.values():
-            pairs.pairs = [
-                replace(pair, take=take_in(pair.stem, options.take_pattern) or pair.take)
-                for pair in pairs.pairs
-            ]
+    for pairs in found.values():
+        pairs.pairs = [
+            replace(pair, take=takes.get(pair.stem) or pair.take) for pair in pairs.pairs
+        ]
+    first = next(iter(found.values()))
+    first.notes += _about_takes(first.pairs, takes)
     return found
 
 
@@ -247,6 +279,7 @@ def _measurer(
     compared: Mapping[str, Path | ItemInterval],
     reference: Path | Items,
     fps: float,
+    takes: Mapping[str, str],
     options: EvaluationOptions,
 ) -> Measurer:
     """Return all that is to be measured."""
@@ -261,7 +294,7 @@ def _measurer(
         seed=options.seed,
         without=joints_to_leave_out(found, fps),
         local=frozenset(options.baselines),
-        take_pattern=options.take_pattern,
+        takes=takes,
     )
 
 

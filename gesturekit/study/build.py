@@ -16,7 +16,7 @@ from typing import Any
 from audio_features import Wave
 from audio_features.atomic import atomic_write, write_text
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.statistics.answers import MISMATCHED
+from gesturekit.evaluation.statistics.answers import MISMATCHED, MOST_COMMENT
 from gesturekit.formats.sources import load
 from gesturekit.motion import Motion
 from gesturekit.progress import Progress
@@ -49,12 +49,18 @@ _STYLE = (
     "Probably the right one",
     "Clearly the right one",
 )
+_SCALE = ("Bad", "Poor", "Fair", "Good", "Excellent")
 _QUESTIONS = {
     "preference speech": "Which character's motion do you prefer, taking into account both how "
     "natural-looking the motion is and how well it matches the speech rhythm and intonation?",
     "preference music": "Which character's dancing motion do you prefer, taking into account both "
     "how natural-looking the motion is and how well it matches the music?",
     "preference silent": "Which character's motion do you prefer?",
+    "rating speech": "How natural is the motion of each character, taking into account both how it "
+    "looks and how well it matches the speech?",
+    "rating music": "How natural is the dancing of each character, taking into account both how it "
+    "looks and how well it matches the music?",
+    "rating silent": "How natural does the motion of each character look?",
     "style silent": "Based on the body movements alone (disregarding the face), which of the two "
     "clips looks most like *{style}*?",
     "mismatch speech": "In which of the two clips do the movements match the speech better?",
@@ -170,13 +176,9 @@ class _Clips:
 
     def trial(self, comparison: Comparison) -> dict[str, Any]:
         """Return a comparison as the page reads it."""
-        segment = comparison.segment
-        names = (comparison.left, comparison.right)
-        trial = {
-            "clip": segment.name,
-            "systems": names,
-            "sides": [self._side(name, segment) for name in names],
-        }
+        segment, names = comparison.segment, comparison.systems
+        sides = [self._side(name, segment) for name in names]
+        trial: dict[str, Any] = {"clip": segment.name, "systems": names, "sides": sides}
         return trial | ({"style": segment.style} if segment.style else {})
 
     def _side(self, name: str, segment: Segment) -> dict[str, Any]:
@@ -187,7 +189,7 @@ class _Clips:
             side: dict[str, Any] = {"motion": motion}
             self._sides.append((side, motion))
             return side
-        side = {"video": self._name(system, shown, shown), "silent": self.config.design == "style"}
+        side = {"video": self._name(system, shown, shown), "silent": self.config.is_silent}
         if shown is not segment:
             side["sound"] = self._name(system, segment, segment)
         return side
@@ -209,7 +211,7 @@ class _Clips:
                 sound = self.segments[spoken].sound
                 motion, seconds = _loaded(source, sound)
                 self.seconds[name] = seconds
-                clip = json.loads(player_data(motion, sound, body=self.config.body))
+                clip = json.loads(player_data(motion, sound, body=self.config.body, compress=True))
                 if "skin" in clip:  # a mesh that all clips share
                     mesh, clip["skin"] = clip["skin"], _BODY
                 _write_script(out / "clips" / f"{name}.js", clip)
@@ -236,16 +238,15 @@ def _write_script(path: Path, value: object) -> None:
 def _setup(
     config: StudyConfig, material: Material, lists: Sequence[Any], out: Path
 ) -> dict[str, Any]:
-    silent = config.design == "style" or not (material.videos or material.segments[0].sound)
+    silent = config.is_silent or not (material.videos or material.segments[0].sound)
     usual = _QUESTIONS[f"{config.design} {'silent' if silent else config.sound}"]
     question = config.question or usual
-    texts = config.answers or (_STYLE if config.design == "style" else _PREFERENCE)
+    texts = config.answers or {"style": _STYLE, "rating": _SCALE}.get(config.design, _PREFERENCE)
     return {
         "format": 1,
         "name": re.sub(r"[^\w.-]+", "_", out.resolve().name) or "study",
         "title": config.title,
-        "introduction": config.introduction
-        or introduction(silent, checks=config.attention_checks > 0),
+        "introduction": config.introduction or introduction(config, silent),
         "consent": config.consent or "",
         "question": question,
         "styles": [
@@ -253,6 +254,10 @@ def _setup(
             for name, words in config.styles.items()
         ],
         "answers": [{"code": c, "text": t} for c, t in zip(CODES, texts, strict=True)],
+        "scale": texts if config.design == "rating" else None,
+        "sound": config.sound_check and not silent,
+        "practice": config.practice,
+        "comment": MOST_COMMENT,
         "reasons": [{"code": c, "text": t} for c, t in REASONS[config.reasons].items()],
         "checks": config.attention_checks,
         "lists": lists,

@@ -114,7 +114,7 @@ def _by_stem(clips: dict[str, Path]) -> dict[str, Path]:
 
 def _sounds(config: StudyConfig, keys: Iterable[str]) -> dict[str, Path]:
     """Return {segment: sound}; empty where the study is silent."""
-    if config.design == "style":
+    if config.is_silent:
         return {}
     if config.audio is None:
         if config.design == "mismatch":

@@ -12,21 +12,29 @@ from gesturekit.errors import ConfigError
 from gesturekit.training.config import load_config, path_from
 from gesturekit.viewer.drawn_body import BODIES, is_body
 
-_INTRODUCTION = """You will see pairs of short clips of a moving figure. Play both clips of a pair \
-to the end, then answer the question below them. There are no right or wrong answers: we want to \
-know how the motion looks to you.
+_PAIRS = """You will see pairs of short clips of a moving figure. Play both clips of a pair to the \
+end, then answer the question below them."""
+_RATINGS = """You will see several short clips of a moving figure on a page. Play each clip to the \
+end, then rate it with the slider beside it, in comparison with the others."""
+_INTRODUCTION = """ There are no right or wrong answers: we want to know how the motion looks \
+to you.
 
 """
 _WITH_SOUND = "*Please use headphones, and keep the sound on.*"
 _WITHOUT_SOUND = "The clips have no sound."
-_CHECKS = """ Some pairs ask you, in a line of text on the clip, to choose a certain answer: \
-please do so. It shows us that you are paying attention."""
+_CHECKS = """ Some pages ask you, in a line of text on a clip, to give a certain answer: please \
+do so. It shows us that you are paying attention."""
 
 
-def introduction(silent: bool, checks: bool) -> str:
-    """Return the default first screen, for clips without sound and with attention checks."""
+MOST_SLIDERS = 12
+"""Systems on one page: each has a 3D player, and browsers allow about 16."""
+
+
+def introduction(config: StudyConfig, silent: bool) -> str:
+    """Return the default first screen, for clips with or without sound."""
+    task = _RATINGS if config.design == "rating" else _PAIRS
     sound = _WITHOUT_SOUND if silent else _WITH_SOUND
-    return f"{_INTRODUCTION}{sound}{_CHECKS if checks else ''}"
+    return f"{task}{_INTRODUCTION}{sound}{_CHECKS if config.attention_checks else ''}"
 
 
 @dataclass(frozen=True)
@@ -42,13 +50,15 @@ class StudyConfig:
     systems: dict[str, str]
     """Folder of clips by name of the system: videos with sound (mp4, webm), or motions (bvh, npz)
     that are shown in 3D."""
-    design: Literal["preference", "style", "mismatch"] = "preference"
+    design: Literal["preference", "style", "mismatch", "rating"] = "preference"
     """`preference`: two systems, same speech. `style`: which of two systems looks most like a
-    style, without sound. `mismatch`: a system's motion against its own motion of other speech."""
+    style, without sound. `mismatch`: a system's motion against its own motion of other speech.
+    `rating`: all systems on one page, each with a slider from 0 to 100 (HEMVIP)."""
     audio: Path | None = None
     """Folder of the speech of motions, under the same paths; videos have their own sound."""
-    sound: Literal["speech", "music"] = "speech"
-    """Kind of sound, for the question: whether motion matches the speech, or a dance the music."""
+    sound: Literal["speech", "music", "none"] = "speech"
+    """Kind of sound, for the question: whether motion matches the speech, or a dance the music;
+    `none` plays clips without it."""
     body: str = "mannequin"
     """Body of motions: mannequin, human, skeleton, or the file of a VRM avatar."""
     styles: dict[str, str] = field(default_factory=dict)
@@ -58,15 +68,21 @@ class StudyConfig:
     """Question below the clips; `*words*` are bold, `{style}` is the style's words.
     By default those of the diffusion paper, on gestures or dance (`sound`), and of GENEA."""
     answers: tuple[str, ...] | None = None
-    """The five answers, from left clearly to right clearly."""
+    """The five answers, from left clearly to right clearly; with design `rating`, the five words
+    along the sliders, from 0 to 100."""
     reasons: Literal["none", "realism", "speech"] = "none"
     """Reasons that raters may give for a preference: GENEA's on realism or on speech."""
     introduction: str | None = None
     """First screen; an empty line begins a paragraph, `*words*` are bold."""
     consent: str | None = None
     """A sentence that raters must tick before they start."""
+    sound_check: bool = True
+    """Raters first say how many tones they hear, if the clips have sound."""
+    practice: bool = True
+    """Raters first answer once for practice; this answer is not stored."""
     pairs: int | None = None
-    """Comparisons of one rater, attention checks not counted; all segments by default."""
+    """Comparisons (pages, with design `rating`) of one rater, attention checks not counted; all
+    segments by default."""
     lists: int = 24
     """Number of balanced lists. `?list=3` opens a certain one; other raters get one by their id."""
     attention_checks: int = 2
@@ -77,6 +93,11 @@ class StudyConfig:
     """Link at the end, such as Prolific's completion URL."""
     seed: int = 0
     """The same seed gives the same page, and the same order to the same rater."""
+
+    @property
+    def is_silent(self) -> bool:
+        """True if clips are shown without their sound."""
+        return self.design == "style" or self.sound == "none"
 
     def __post_init__(self) -> None:
         if not self.title.strip():
@@ -105,6 +126,12 @@ class StudyConfig:
             raise ConfigError(
                 f"systems: {len(self.systems)} given; design {self.design} needs {least} or more"
             )
+        if self.design == "rating" and len(self.systems) > MOST_SLIDERS:
+            raise ConfigError(
+                f"systems: {len(self.systems)} given; design rating shows at most {MOST_SLIDERS}"
+            )
+        if self.design == "mismatch" and self.sound == "none":
+            raise ConfigError("sound: design mismatch asks about the sound; it cannot be none")
         for name, folder in self.systems.items():
             if not isinstance(name, str) or not isinstance(folder, str) or not name.strip():
                 raise ConfigError(f"systems: {name!r}: {folder!r}; expected NAME: FOLDER")

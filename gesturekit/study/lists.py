@@ -23,15 +23,16 @@ from gesturekit.study.config import StudyConfig
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two clips to compare; `left` and `right` are systems, as in the answers."""
+    """Clips to compare on one page; `systems` are as in the answers, from left to right."""
 
     segment: Segment
-    left: str
-    right: str
+    systems: tuple[str, ...]
 
 
-def ordered_pairs(config: StudyConfig) -> list[tuple[str, str]]:
-    """Return all pairs of systems to compare, either way round."""
+def ordered_pairs(config: StudyConfig) -> list[tuple[str, ...]]:
+    """Return all pairs of systems to compare, either way round; of ratings, all systems at once."""
+    if config.design == "rating":
+        return [tuple(config.systems)]
     if config.design == "mismatch":
         return [
             pair
@@ -71,7 +72,7 @@ def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Co
             for place, pair in _places(used, n, in_list, rng):
                 used[place, pair] += 1
                 in_list[pair] += 1
-                comparisons.append(Comparison(group[place], *pairs[pair]))
+                comparisons.append(Comparison(group[place], pairs[pair]))
         lists.append(comparisons)
     return lists
 

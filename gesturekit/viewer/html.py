@@ -115,16 +115,17 @@ def player_data(
     colours: Mapping[str, str] | None = None,
     body: str | None = None,
     framing: str = "whole",
+    compress: bool = False,
 ) -> str:
     """Return the JSON for `{{motion}}` of `player_shell`; arguments as for `write_html`.
 
-    `colours` are those of figures by label, such as "#3f7fae"; the player's own for all others. A
-    human body has clothes of its figure's colour.
+    `compress` makes MP3 of sound of any size. `colours` are those of figures by label, such as
+    "#3f7fae"; the player's own for all others. A human body has clothes of its figure's colour.
 
     Raises AudioError where `audio` is not sound, FormatError where `body_model` is none.
     """
     shown = drawn_bodies(motion, body, body_model)
-    page = _page(shown, audio)
+    page = _page(shown, audio, compress)
     page["below"] = max(drawn.figure.below(framing) for drawn in shown.values())
     motions = motion.values() if isinstance(motion, Mapping) else [motion]
     for figure, given in zip(page["figures"], motions):
@@ -136,7 +137,7 @@ def player_data(
     return script_json(page)
 
 
-def _page(shown: Mapping[str, DrawnBody], audio: Playable | None) -> dict[str, Any]:
+def _page(shown: Mapping[str, DrawnBody], audio: Playable | None, compress: bool) -> dict[str, Any]:
     page: dict[str, Any] = {
         "format": 1,
         "height": max(drawn.figure.extent for drawn in shown.values()),
@@ -144,7 +145,7 @@ def _page(shown: Mapping[str, DrawnBody], audio: Playable | None) -> dict[str, A
     }
     add_skins(page, list(shown.values()))
     if audio is not None and (wave := as_wave(audio)) is not None:
-        data, media_type = encoded(audio, wave)
+        data, media_type = encoded(audio, wave, compress)
         spectrum, rate = spectrogram(wave)
         page["speech"] = {
             "duration": wave.duration,

@@ -187,27 +187,31 @@ def as_wave(audio: Playable | None) -> Wave | None:
     return Wave.load(audio)
 
 
-def encoded(audio: Playable, wave: Wave) -> tuple[bytes, str]:
+def encoded(audio: Playable, wave: Wave, compress: bool = False) -> tuple[bytes, str]:
     """Return sound as a browser plays it, and its media type.
 
     A WAV, FLAC or MP3 file of up to EMBED_LIMIT bytes is taken byte for byte, any other sound is
-    encoded: without loss (FLAC) while that stays under the limit, else as mono MP3. MP3 from here
-    starts on the sample: its header tells players what to skip.
+    encoded: without loss (FLAC) while that stays under the limit, else as mono MP3, which every
+    browser plays (Safari plays no Ogg Opus before 18.4). MP3 from here starts on the sample:
+    its header tells players what to skip.
 
     Args:
         audio: the sound as given.
         wave: the same, decoded.
+        compress: True for MP3 at any size.
     """
+    limit = 0 if compress else EMBED_LIMIT
     if isinstance(audio, str | os.PathLike):
         path = Path(audio)
         info = soundfile.info(soundfile_name(path))
         media_type = _BROWSER_TYPES.get((info.format, info.subtype))
-        if media_type and path.stat().st_size <= EMBED_LIMIT:
+        is_small = path.stat().st_size <= limit or (compress and info.format == "MP3")
+        if media_type and is_small:
             return path.read_bytes(), media_type
     # FLAC takes about one byte a sample of speech.
-    if len(wave.samples) <= EMBED_LIMIT:
+    if len(wave.samples) <= limit:
         flac = _encode(wave, format="FLAC", subtype="PCM_16")
-        if len(flac) <= EMBED_LIMIT:
+        if len(flac) <= limit:
             return flac, "audio/flac"
     rate = next((rate for rate in _MP3_RATES if rate >= wave.sample_rate), _MP3_RATES[-1])
     return _encode(wave.resample(rate), format="MP3", subtype="MPEG_LAYER_III"), "audio/mpeg"

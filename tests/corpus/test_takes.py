@@ -73,6 +73,58 @@ def test_wrong_takes_are_one_clear_error(tmp_path, table, pattern, says):
         name_takes(parts() + more, pattern, None if table is None else file)
 
 
+def warnings_of(recordings: list[Recording], pattern: str | None = None) -> list[str]:
+    problems = name_takes(recordings, pattern, None)[1]
+    return [problem.text for problem in problems if problem.severity == "warning"]
+
+
+def test_a_pattern_that_merges_speakers_says_so():
+    names = ("anna/talk1_part0", "ben/talk1_part0", "ben/talk2_part0")
+    (said,) = warnings_of(parts(*names), r"(talk\d+)")
+    assert re.search(r"(?=.*talk1 )(?=.*anna)(?=.*ben).*\b1 take\b", said) and "talk2" not in said
+    assert warnings_of(parts(*names), r"(.*/talk\d+)") == []
+    (said,) = warnings_of(parts("x_1", speaker="me") + parts("x_2", speaker="you"), "(x)")
+    assert "me" in said and "you" in said
+
+
+@pytest.mark.parametrize(
+    ("names", "facts", "pattern"),
+    [
+        ([f"{day}_part{k:02d}" for day in "ab" for k in range(20)], ["40 files", "2 rec"], "part"),
+        ([f"in/t{k // 2}-chunk{k % 2}" for k in range(8)] + ["x"], ["9 files", "5 rec"], "chunk"),
+        (["a_seg1", "a_seg2", "b.clip1", "b.clip2"], ["4 files", "2 rec"], "seg"),
+        (["part1", "part2", "d/clip 3", "d/clip 4", "clip5"], [], ""),
+        (["a_part1", "b_part1"], [], ""),
+    ],
+)
+def test_names_of_pieces_are_asked_about_with_the_pattern_to_use(names, facts, pattern):
+    said = warnings_of(parts(*names))
+    assert len(said) == bool(facts) and all(fact in said[0] for fact in facts)
+    if facts:
+        given = re.search(r"--take-pattern '(.*)'", said[0])[1]
+        assert pattern in given
+        named, problems = name_takes(parts(*names), given, None)
+        assert f"{len({r.take for r in named})} rec" in facts[1]
+        assert not any(problem.severity == "warning" for problem in problems)
+
+
+def test_numbered_motions_that_continue_one_another_are_asked_about(tmp_path, gesture):
+    whole = gesture(4.0, 20.0)
+    for k in range(4):
+        whole[k * 20 : k * 20 + 20].save(tmp_path / "cut" / f"day_{k}.npz")
+        gesture(1.0, 20.0, seed=k).save(tmp_path / "other" / f"day_{k}.npz")
+
+    def numbered(folder: str) -> list[Recording]:
+        files = [tmp_path / folder / f"day_{k}.npz" for k in range(4)]
+        return [Recording(f.stem, motion=f, fps=20.0, stop=1.0) for f in files]
+
+    (said,) = warnings_of(numbered("cut"))
+    assert "4 files, perhaps 1 recording" in said and r"'(.*)_\d+'" in said
+    assert warnings_of(numbered("other")) == [] == warnings_of(numbered("cut"), "(day)")
+    (tmp_path / "other" / "day_1.npz").write_bytes(b"")
+    assert warnings_of(numbered("other")) == [], "what cannot be read is reported elsewhere"
+
+
 def test_neighbours_are_counted_by_the_takes_of_the_training_split():
     def item(name: str, split: str, take: str, motion: Path | None = Path("/in/a.bvh")) -> Item:
         return Item(id=name, take=take, split=split, audio=Path("/in/a.wav"), motion=motion,

@@ -10,7 +10,7 @@ import pytest
 from rigs import prefixed
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.errors import EvaluationError, GestureKitError
+from gesturekit.errors import CorpusError, EvaluationError, GestureKitError
 from gesturekit.evaluation import Variants, evaluate, interval_warnings
 from gesturekit.motion import Motion, Skeleton
 
@@ -172,6 +172,28 @@ def test_takes_are_found_in_names_by_a_pattern(tmp_path, gesture):
     takes = {clip.pair.name: clip.pair.take for clip in found.models[0].clips}
     assert takes == {"day1_a": "day1", "day1_b": "day1", "day2_a": "day2", "x": "x"}
     assert "3 takes" in found.basis and "4 clips" in found.basis
+    (tmp_path / "takes.csv").write_text("id,take\nx,day1\nday2_a,day1\n")
+    found = evaluate(tmp_path / "made", tmp_path / "recordings", **options,
+                     take_table=tmp_path / "takes.csv")  # fmt: skip
+    assert {clip.pair.take for clip in found.models[0].clips} == {"day1"}
+    with pytest.raises(CorpusError, match=r"(?=.*nothing).*\b4\b"):
+        evaluate(
+            tmp_path / "made", tmp_path / "recordings", **options | {"take_pattern": "nothing"}
+        )
+
+
+def test_pieces_of_takes_are_asked_about(tmp_path, gesture):
+    for k in range(4):
+        for folder in ("recordings", "made"):
+            gesture(1.0, 10.0, seed=k).save(tmp_path / folder / f"day{k // 2}_part{k % 2}.npz")
+    options = {"protocol": "multires", "cheap": True}
+    found = evaluate(tmp_path / "made", tmp_path / "recordings", **options)
+    (said,) = (note for note in found.models[0].notes if "--take-pattern" in note)
+    assert "4 files, perhaps 2 recordings" in said
+    options |= {"take_pattern": re.search("'(.*)'", said)[1]}
+    found = evaluate(tmp_path / "made", tmp_path / "recordings", **options)
+    assert not any("--take-pattern" in note for note in found.models[0].notes)
+    assert {clip.pair.take for clip in found.models[0].clips} == {"day0", "day1"}
 
 
 def test_options_that_do_not_go_together_are_refused(tmp_path, gesture):

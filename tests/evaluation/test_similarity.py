@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.evaluation import SpeedHistogram, cca, hellinger, l1_diversity, read_semantic, srgr
+from gesturekit.evaluation import (
+    SpeedHistogram,
+    cca,
+    hellinger,
+    l1_diversity,
+    read_semantic,
+    srgr,
+    vertex_lvd,
+    vertex_mse,
+)
 
 
 def test_hellinger_by_hand():
@@ -98,3 +107,20 @@ def test_semantic_tracks_are_read_from_beats_tables(tmp_path):
     table.write_text("")
     with pytest.raises(FormatError, match=r"a\.txt"):
         read_semantic(table)
+
+
+def test_vertices_are_compared_as_beat2s_papers_do():
+    rng = np.random.default_rng(0)
+    generated, reference = rng.normal(size=(2, 4, 3, 3))
+    assert vertex_mse(generated, reference) == pytest.approx(((generated - reference) ** 2).mean())
+    # Two frames of one vertex: x goes from 1 to 4, y stays, z from 0 to -1; that of the recording
+    # goes on by 1 in x. |3 - 1| + 0 + |-1| over 2 frames of 3 coordinates.
+    made, recorded = np.array([[[1.0, 2, 0]], [[4, 2, -1]]]), np.array([[[0.0, 0, 0]], [[1, 0, 0]]])
+    assert vertex_lvd(made, recorded) == pytest.approx(3 / 6)
+    # (1 + 4 + 0 + 9 + 4 + 1) / 6
+    assert vertex_mse(made, recorded) == pytest.approx(19 / 6)
+    for compare in (vertex_mse, vertex_lvd):
+        with pytest.raises(MotionError, match=r"(?=.*2, 1, 3).*4, 3, 3"):
+            compare(made, generated)
+        with pytest.raises(MotionError, match="0, 1, 3"):
+            compare(made[:0], recorded[:0])

@@ -33,13 +33,13 @@ def test_four_systems_give_the_designs_of_the_paper(styles, each, seed):
     lists = make_lists(config, [one for style in styles for one in segments(each, style)])
     over_all, over_styles = Counter(), Counter()
     for one in lists:
-        pairs = Counter((c.left, c.right) for c in one)
+        pairs = Counter(c.systems for c in one)
         assert len(pairs) == 12 and set(pairs.values()) == {each * len(styles) / 12}
         assert len({c.segment.name for c in one}) == each * len(styles)
-        within = Counter((c.segment.style, c.left, c.right) for c in one)
+        within = Counter((c.segment.style, *c.systems) for c in one)
         assert max(within.values()) - min(within.values()) <= 1
         over_styles += within
-        over_all.update((c.segment.name, c.left, c.right) for c in one)
+        over_all.update((c.segment.name, *c.systems) for c in one)
     assert set(over_styles.values()) == {2 * each}
     # 24 lists and 12 ordered pairs: each pair of each segment twice, or nearly always where the 18
     # of a style are no multiple of 12.
@@ -58,6 +58,11 @@ SYSTEMS = "title: x\nsystems: {a: x, b: y}\n"
         ("title: x\nsystems: {a: x}", ["systems", "1", "2"]),
         ("title: x\nsystems: {a: x, b_Mismatched: y}", ["b_Mismatched"]),
         ("title: x\nsystems: {a: x, b: 3}", ["b", "3"]),
+        (SYSTEMS + "design: mismatch\nsound: none", ["sound", "mismatch"]),
+        (
+            f"title: x\ndesign: rating\nsystems: {{{', '.join(f's{k}: x' for k in range(13))}}}",
+            ["13", "12"],
+        ),
         (SYSTEMS + "design: prefer", ["design", "prefer"]),
         (SYSTEMS + "design: style", ["style", "styles"]),
         (SYSTEMS + "answers: [better, worse]", ["answers", "2"]),
@@ -199,7 +204,8 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
         seconds = {n: side["seconds"] for n, side in zip(trial["systems"], trial["sides"])}
         assert seconds == {"a": 0.45, "b": 0.3}
     for path in (tmp_path / "out" / "clips").iterdir():
-        assert '"audio"' in path.read_text(encoding="utf-8")
+        sound = json.loads(re.search(r"\{.*\}", path.read_text(encoding="utf-8"))[0])["audio"]
+        assert sound["type"] == "audio/mpeg", "compressed, and played by every browser"
     write_speech(tmp_path / "other" / "w.wav", 0.3)
     with pytest.raises(ConfigError, match="(?=.*other).*d/x.wav"):
         build_study(StudyConfig("T", systems, audio=tmp_path / "other"), tmp_path / "x")
@@ -208,6 +214,13 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
         build_study(config, tmp_path / "x")
     with pytest.raises(ConfigError, match="(?=.*mismatch).*speech"):
         build_study(StudyConfig("T", {"a": systems["a"]}, design="mismatch"), tmp_path / "x")
+
+
+def test_each_list_rates_all_systems_of_its_segments():
+    lists = make_lists(config_of(5, design="rating", pairs=6, lists=4), segments(8))
+    assert {c.systems for one in lists for c in one} == {("s0", "s1", "s2", "s3", "s4")}
+    assert all(len({c.segment.name for c in one}) == 6 for one in lists)
+    assert set(Counter(c.segment.name for one in lists for c in one).values()) == {3}
 
 
 def test_mismatched_motion_is_another_clip_of_the_same_folder():
@@ -222,5 +235,5 @@ def test_mismatched_motion_is_another_clip_of_the_same_folder():
         seen.add(str(found))
     assert len(seen) > 1
     lists = make_lists(config_of(1, design="mismatch"), clips)
-    pairs = {(c.left, c.right) for one in lists for c in one}
+    pairs = {c.systems for one in lists for c in one}
     assert pairs == {("s0", "s0_Mismatched"), ("s0_Mismatched", "s0")}

@@ -3,7 +3,6 @@
 import csv
 import json
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -55,6 +54,42 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, tmp_path, r
     assert code == 0 and "20 raters" in out and re.search(r"\b0 raters", out)
 
 
+def test_ratings_of_sliders_are_analysed_by_the_same_command(tmp_path, run):
+    """Two raters agree on a over b, 30 and 10; b and c differ by 20 and -20; one fails a check."""
+    lines = ["rater,system,clip,question,value,seconds,checks,checks_failed,comment"]
+    for user, values, failed in (
+        ("u", (70, 40, 20), 0),
+        ("v", (60, 50, 70), 0),
+        ("w", (0, 9, 9), 1),
+    ):
+        for clip in "xy":
+            said = '"<b>,""fine"""' if user == "u" else ""
+            lines += [f"{user},{s},{clip},natural?,{v},9,2,{failed},{said}"
+                      for s, v in zip("abc", values, strict=True)]  # fmt: skip
+    path = tmp_path / "ratings.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    report, figures = tmp_path / "report.html", tmp_path / "figures.json"
+    done = run("analyse", path, "--out", report, "--json", figures, "--rounds", 30).ok()
+    assert all(fact in done.out for fact in ("12 comparisons", "2 raters", "1 rater excluded"))
+    found = json.loads(figures.read_text())
+    assert found["comments"] == {"u": '<b>,"fine"'} and list(found["excluded"]) == ["w"]
+    means = {s["name"]: (s["merit"]["value"], s["n"]) for s in found["preference"]["systems"]}
+    assert means == {"a": (65, 4), "b": (45, 4), "c": (45, 4)}
+    pairs = {(p["a"], p["b"]): (p["mean"], p["counts"]) for p in found["preference"]["pairs"]}
+    assert pairs["a", "b"] == (20, [0, 4, 0, 0, 0]) and pairs["b", "c"] == (0, [0, 2, 0, 2, 0])
+    page = report.read_text(encoding="utf-8")
+    assert "&lt;b&gt;,&quot;fine&quot;" in page and "p < " not in page
+    assert "Mean rating" in page and "<b>" not in page
+    # Two questions are not mixed.
+    both = [*lines, *(line.replace("natural", "fitting") for line in lines[1:])]
+    path.write_text("\n".join(both), encoding="utf-8")
+    run("analyse", path, "--json", figures, "--rounds", 5, "--existing", "replace").ok()
+    found = json.loads(figures.read_text())
+    assert found["preference"] is None and list(found["by_style"]) == ["fitting?", "natural?"]
+    path.write_text("rater,system,clip,value\nu,a,x,1\nu,b,y,2\n")
+    run("analyse", path).fails(2, "two systems")
+
+
 def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, tmp_path, run):
     path = write(tmp_path / "a.csv", simulate([0.5, 0.0], raters=5, answers=4), {})
     figures, intervals = tmp_path / "figures.json", []
@@ -79,15 +114,6 @@ def test_nonsense_is_named_with_code_2(tmp_path, run, arguments, named, monkeypa
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x.csv").write_text("some,thing\n1,2\n")
     assert run(*arguments).fails(2, named).out == ""
-
-
-def test_without_statsmodels_the_extra_is_named(tmp_path, run, monkeypatch):
-    path = write(tmp_path / "x.csv", [Answer("u", "c", "a", "b", 2)] * 3, {})
-    monkeypatch.setitem(sys.modules, "statsmodels", None)
-    for name in [name for name in sys.modules if name.startswith("statsmodels.")]:
-        monkeypatch.setitem(sys.modules, name, None)
-    code, _, err = run("analyse", path)
-    assert code == 2 and "pip install 'gesturekit[study]'" in err
 
 
 def test_the_size_of_a_study_is_printed(run):

@@ -1,5 +1,6 @@
 """The page of a study in a headless browser without network, as raters meet it."""
 
+import csv
 import re
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ from gesturekit.study import CODES, StudyConfig, build_study
 
 pytestmark = bundled
 
+COMMENT = "the <i>third</i>, lagged"
 ANSWERS = tuple(f"answer {k}" for k in range(5))
 TEXTS = dict(zip(ANSWERS, CODES, strict=True))
 
@@ -44,6 +46,26 @@ def start(browser, page: Path, query: str = "", **options) -> None:
     browser.wait("document.querySelector('.page .next')")
     browser.run("document.querySelector('.consent input')?.click()")
     browser.run("document.querySelector('.page .next').click()")
+    browser.wait("document.querySelector('[name=tones]') || document.querySelector('.progress')")
+    if browser.run("Boolean(document.querySelector('[name=tones]'))"):
+        hear(browser)
+
+
+def hear(browser) -> None:
+    """Count the tones that the page plays, once say another number, then the right one."""
+    browser.run(
+        "(() => { window.tones = 0; const { prototype } = OscillatorNode, { start } = prototype;"
+        " prototype.start = function (at) { tones += 1; start.call(this, at); }; })()"
+    )
+    for wrong in (1, 0):
+        assert browser.run("document.querySelectorAll('[name=tones]:enabled').length") == 0
+        browser.run("tones = 0; document.querySelector('.page .play').click()")
+        browser.wait("document.querySelectorAll('[name=tones]:enabled').length == 5")
+        count = browser.run("tones")
+        assert 2 <= count <= 5
+        answer = 2 + (count - 1) % 4 if wrong else count
+        browser.run(f"document.querySelector('[name=tones][value=\"{answer}\"]').click()")
+        browser.run("document.querySelector('.page .next').click()")
 
 
 def play_both(browser) -> None:
@@ -67,6 +89,10 @@ def rate(browser, choose: Callable[[int, str], str]) -> int:
         if browser.run("document.documentElement.dataset.study"):
             return n
         if browser.run("Boolean(document.querySelector('.page .next'))"):
+            browser.run(
+                "{ const box = document.querySelector('.page textarea');"
+                f" if (box) box.value = {COMMENT!r}; }}"
+            )
             browser.run("document.querySelector('.page .next').click()")
             continue
         play_both(browser)
@@ -95,7 +121,7 @@ def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser
     page = build_study(StudyConfig("Study", videos, pairs=2, **options), tmp_path / "my study").page
     for user, choose in (("p1", attentive), ("Zoë_語", lambda *_: "TheyAreEqual")):
         start(browser, page, f"PROLIFIC_PID={quote(user)}&STUDY_ID=st&SESSION_ID=se&list=3")
-        assert rate(browser, choose) == 2 + 1
+        assert rate(browser, choose) == 1 + 2 + 1, "practice, comparisons, attention check"
         files.append(downloaded(tmp_path, f"my_study_{user}.csv"))
     assert browser.lines == []
     assert all(url.startswith(("file:", "blob:", "data:")) for url in browser.requests)
@@ -104,10 +130,11 @@ def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser
     assert lines[0].split(",")[: len(GENEA_COLUMNS)] == list(GENEA_COLUMNS)
     found = read_answers(files)
     assert list(found.excluded) == ["Zoë_語"] and "1 of 1" in found.excluded["Zoë_語"]
+    assert found.comments == {"p1": COMMENT, "Zoë_語": COMMENT}
     assert len(found.kept) == len({answer.clip for answer in found.kept}) == 2
     sides = [(answer.left, answer.right) for answer in found.kept]
     assert set(sides) == {("ours", "base line"), ("base line", "ours")}
-    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+    rows = [*csv.DictReader(lines)]
     scores = dict(zip(CODES, (2, 1, 0, -1, -2), strict=True))
     for row, answer in zip(rows, found.kept, strict=True):
         assert scores[row["answer"]] == answer.score
@@ -121,6 +148,70 @@ def test_pairs_are_rated_from_a_disk_and_analysed(videos, tmp_path, open_browser
     assert browser.lines == []
 
 
+def rate_with_sliders(browser, value: Callable[[int, str], int]) -> int:
+    """Go through a study of sliders; `value(position, message)` is the rating of a clip."""
+    n = 0
+    while True:
+        browser.wait("document.querySelector('.row .play:enabled, .page .next, [data-study]')")
+        if browser.run("Boolean(document.querySelector('[data-study]'))"):
+            return n
+        if browser.run("Boolean(document.querySelector('.page .next'))"):
+            browser.run("document.querySelector('.page .next').click()")
+            continue
+        rows = browser.run("document.querySelectorAll('.row input').length")
+        for k in range(rows):
+            assert browser.run(f"document.querySelectorAll('.row input')[{k}].disabled")
+            browser.run(f"document.querySelectorAll('.row .play')[{k}].click()")
+            browser.wait(f"!document.querySelectorAll('.row input')[{k}].disabled")
+            shown = "document.querySelectorAll('.screen')"
+            visible = [
+                browser.run(f"getComputedStyle({shown}[{i}]).visibility") for i in range(rows)
+            ]
+            assert visible == ["visible" if i == k else "hidden" for i in range(rows)]
+            assert browser.run("document.querySelector('.foot .next').disabled")
+            message = browser.run(f"{shown}[{k}].textContent")
+            seen = browser.run(f"{shown}[{k}].querySelector('.message').hidden") is False
+            browser.run(
+                f"(() => {{ const slider = document.querySelectorAll('.row input')[{k}];"
+                f" slider.value = {value(k, message if seen else '')};"
+                " slider.dispatchEvent(new Event('input')); })()"
+            )
+        browser.run("document.querySelector('.foot .next').click()")
+        n += 1
+
+
+def test_sliders_of_several_systems_are_rated_and_analysed(
+    videos, tmp_path, open_browser, gesturekit
+):
+    """Shown in another order on each page; each clip is played before its slider counts."""
+    shutil.copytree(videos["ours"], tmp_path / "third")
+    systems = {**videos, "third": str(tmp_path / "third")}
+    config = StudyConfig(
+        "Study", systems, "rating", sound="none", pairs=3, attention_checks=1, seed=3
+    )
+    page = build_study(config, tmp_path / "out").page
+
+    def obedient(position: int, message: str) -> int:
+        asked = re.search(r"to (\d+)", message)
+        return int(asked[1]) if asked else 10 * (position + 1)
+
+    browser, files = open_browser(), []
+    for user, value in (("u", obedient), ("v", lambda position, message: 50 + position)):
+        start(browser, page, f"user={user}")
+        assert rate_with_sliders(browser, value) == 1 + 3 + 1
+        files.append(downloaded(tmp_path, f"out_{user}.csv"))
+    assert browser.lines == []
+    rows = [*csv.DictReader(files[0].read_text().splitlines())]
+    assert len(rows) == 9 and {row["system"] for row in rows} == {*systems}
+    assert all(row["value"] == f"{row['position']}0" and row["plays"] == "1" for row in rows)
+    orders = {tuple(row["system"] for row in rows[k : k + 3]) for k in (0, 3, 6)}
+    assert len(orders) > 1
+    found = read_answers(files)
+    assert list(found.excluded) == ["v"] and len(found.kept) == 3 * 3
+    done = gesturekit("study", "analyse", *files, "--out", tmp_path / "report.html").ok()
+    assert "9 comparisons of 1 rater" in done.out
+
+
 @pytest.mark.stress
 def test_motions_are_shown_in_3d_on_a_phone_without_controls(
     tmp_path, gesture, write_speech, open_browser
@@ -131,8 +222,9 @@ def test_motions_are_shown_in_3d_on_a_phone_without_controls(
             write_speech(tmp_path / "speech" / f"{clip}.wav", 0.5, 44100)
     systems = {name: str(tmp_path / name) for name in ("ours", "base <b>")}
     config = StudyConfig(
-        "Study", systems, audio=tmp_path / "speech", reasons="realism", attention_checks=0
-    )
+        "Study", systems, audio=tmp_path / "speech", reasons="realism", attention_checks=0,
+        practice=False,
+    )  # fmt: skip
     built = build_study(config, tmp_path / "out")
     assert built.page_bytes < 2_000_000
     browser = open_browser()
@@ -173,7 +265,8 @@ def test_answers_are_posted_and_never_lost(videos, tmp_path, open_browser, statu
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         config = StudyConfig(
-            "Study", videos, "mismatch", pairs=1, attention_checks=0,
+            "Study", videos, "mismatch", pairs=1, attention_checks=0, practice=False,
+            sound_check=False,
             post_url=f"http://127.0.0.1:{server.server_port}/answers",
             completion_url="https://app.prolific.com/submissions/complete?cc=ABC",
         )  # fmt: skip

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 from scipy import stats
+from statsmodels.stats.multicomp import pairwise_tukeyhsd
+from statsmodels.stats.oneway import anova_oneway
 from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.sandwich_covariance import cov_cluster_2groups
 
@@ -19,7 +21,14 @@ from gesturekit.study.analysis.preference import (
     fit_strengths,
     weighted_wins,
 )
-from gesturekit.study.analysis.significance import Design, Expected, mean_test, power_of, share
+from gesturekit.study.analysis.significance import (
+    Design,
+    Expected,
+    mean_estimate,
+    mean_test,
+    power_of,
+    share,
+)
 
 
 def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
@@ -41,19 +50,18 @@ def test_bradley_terry_equals_a_logistic_regression_of_statsmodels(simulate):
     assert np.diff(elo(ten_to_one))[0] == pytest.approx(-400, abs=0.01)
 
 
-def test_anova_and_tukey_equal_those_of_scipy(simulate):
+def test_anova_and_tukey_equal_those_of_statsmodels(simulate):
     answers = simulate([0.3, 0.0, -0.2])
     found = analyse_preference(answers, rounds=10, seed=0)
-    scores = {name: [] for name in "abc"}
-    for answer in answers:
-        scores[answer.left].append(max(answer.score, 0))
-        scores[answer.right].append(max(-answer.score, 0))
-    expected = stats.f_oneway(*scores.values())
-    assert (found.anova.f, found.anova.p) == pytest.approx((expected.statistic, expected.pvalue))
+    scores = [(name, max(sign * answer.score, 0)) for answer in answers
+              for name, sign in ((answer.left, 1), (answer.right, -1))]  # fmt: skip
+    groups, values = map(np.array, zip(*scores, strict=True))
+    f, p = anova_oneway([values[groups == name] for name in "abc"], use_var="equal")[:2]
+    assert (found.anova.f, found.anova.p) == pytest.approx((f, p))
     assert (found.anova.between, found.anova.within) == (2, 2 * len(answers) - 3)
-    tukey = stats.tukey_hsd(*scores.values()).pvalue
-    for (i, j), p in found.anova.tukey.items():
-        assert p == pytest.approx(tukey[i, j], abs=1e-6)
+    tukey = pairwise_tukeyhsd(values, groups).pvalues
+    for (i, j), expected in zip(((0, 1), (0, 2), (1, 2)), tukey, strict=True):
+        assert found.anova.tukey[i, j] == pytest.approx(expected, abs=1e-6)
     assert {(p.a, p.b): p.p_tukey for p in found.pairs}["a", "b"] == found.anova.tukey[0, 1]
 
 
@@ -77,6 +85,18 @@ def test_means_are_tested_over_raters_and_clips_as_in_statsmodels():
         t = abs(fit.params[-1]) / both**0.5
         # Between Student's t with fewer degrees of freedom than clips, and the normal law.
         assert 2 * stats.norm.sf(t) < p < 2 * stats.t.sf(t, 7)
+
+
+def test_the_interval_of_a_mean_holds_what_its_test_does_not_refuse():
+    rng = np.random.default_rng(1)
+    rater, clip = np.repeat(np.arange(12), 8), np.tile(np.arange(8), 12)
+    values = 50 + 9 * rng.standard_normal(12)[rater] + 9 * rng.standard_normal(8)[clip]
+    values += 9 * rng.standard_normal(96)
+    found = mean_estimate(values, rater, clip)
+    assert found.value == pytest.approx(values.mean())
+    for bound in (found.low, found.high):
+        assert mean_test(values - bound, rater, clip) == pytest.approx(0.05)
+    assert np.isnan(mean_estimate(values[:8], rater[:8], clip[:8]).low), "a single rater"
 
 
 def test_means_of_few_answers_by_hand():
@@ -199,8 +219,15 @@ def test_the_power_is_that_of_simulated_studies():
     raters = raters_needed(expected, design)
     assert power_of(expected, raters, design) >= 0.8 > power_of(expected, raters - 1, design)
     rng = np.random.default_rng(0)
-    # Normal scores with this mean and variance: .8 · .3 · 1.4 and .8 · 2.2 less its square.
-    sd = (0.8 * 2.2 - 0.336**2) ** 0.5
+    preference, slight, clear = expected.thresholds()
+    drawn = preference + rng.standard_normal(400_000)
+    scores = np.sign(drawn) * np.digitize(abs(drawn), (slight, clear))
+    shares = [np.mean(scores > 0), np.mean(scores < 0), np.mean(abs(scores) == 2)]
+    assert shares == pytest.approx([0.8 * 0.65, 0.8 * 0.35, 0.8 * 0.4], abs=0.004)
+    mean, variance = expected.moments()
+    assert (mean, variance) == pytest.approx((scores.mean(), scores.var()), abs=0.01)
+    assert Expected(0.65, 0.2, 0.0, 0.05, 0.1).moments()[0] == pytest.approx(0.8 * 0.3)
+    assert Expected(0.65, 0.2, 1.0, 0.05, 0.1).moments()[0] == pytest.approx(0.8 * 0.6)
     found = []
     for _ in range(600):
         rater = np.repeat(np.arange(raters), 6)
@@ -208,6 +235,6 @@ def test_the_power_is_that_of_simulated_studies():
         noise = np.sqrt(0.05) * rng.standard_normal(raters)[rater]
         noise += np.sqrt(0.1) * rng.standard_normal(24)[clip]
         noise += np.sqrt(0.85) * rng.standard_normal(len(rater))
-        found.append(mean_test(0.336 + sd * noise, rater, clip) < 0.05)
+        found.append(mean_test(mean + variance**0.5 * noise, rater, clip) < 0.05)
     assert np.mean(found) == pytest.approx(0.8, abs=0.08)
     assert raters_needed(expected, Design(answers=1, clips=3)) is None, "three clips say too little"

@@ -39,7 +39,7 @@ from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 MOST, LONGEST = 30, 60.0
 """Recordings that are compared with each other, at most, and seconds of each."""
@@ -59,7 +59,7 @@ def ceilings(
     sources: Mapping[str, Pair],
     fps: float,
     measure: ClipMetrics,
-    features: FeatureModel | None,
+    features: Extractor | None,
     seed: int,
 ) -> dict[str, tuple[Interval, str]]:
     """Return {key of `definitions`: (the recordings' own value, how it was taken)}.
@@ -147,7 +147,7 @@ def _set_metrics(
     clips: Sequence[Clip],
     halves: tuple[list[Motion], list[Motion]],
     measure: ClipMetrics,
-    features: FeatureModel | None,
+    features: Extractor | None,
     seed: int,
 ) -> dict[str, Callable[[], float | None]]:
     """Return {key: function that computes it} of metrics of whole sets."""

@@ -25,7 +25,7 @@ from gesturekit.motion.parts import body_joints
 
 if TYPE_CHECKING:
     from audio_features import FeatureTrack
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
     from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 
 
@@ -182,7 +182,7 @@ class SetInputs:
 
     generated: Sequence[Motion]
     reference: Sequence[Motion]
-    model: FeatureModel | None
+    model: Extractor | None
     joints: tuple[str, ...] | None
     seed: int
     kinetic: str

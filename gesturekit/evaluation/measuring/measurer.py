@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from audio_features import AudioFeaturesError
-from gesturekit.corpus.takes import take_in
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import FRECHET, POOLED, SPEECH
 from gesturekit.evaluation.measuring.ceilings import ceilings
@@ -45,7 +44,7 @@ from gesturekit.evaluation.results import Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.levels import OTHER_SOUND
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 
 MISMATCHED = 3
@@ -88,7 +87,7 @@ class Measurer:
         seed: seed of intervals and subsamples.
         without: bare names of joints that some model lacks, which no model is measured with.
         local: labels of models whose motion is made in memory.
-        take_pattern: regular expression for takes in the names of recordings, or None.
+        takes: takes of recordings by name; others have those of `Pair`.
     """
 
     measure: ClipMetrics
@@ -97,11 +96,11 @@ class Measurer:
     reference: Path | Items
     fps: float
     length: float
-    features: FeatureModel | None
+    features: Extractor | None
     seed: int
     without: frozenset[str] = frozenset()
     local: frozenset[str] = frozenset()
-    take_pattern: str | None = None
+    takes: Mapping[str, str] = field(default_factory=dict)
     _own: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(
         default_factory=dict, init=False
     )
@@ -223,8 +222,7 @@ class Measurer:
 
     def _with_itself(self, name: str, source: Path | ItemInterval) -> Pair:
         """Return the pair of a recording with itself."""
-        take = take_in(name, self.take_pattern) if self.take_pattern else ""
-        return Pair(name, name, None, source, source, take=take)
+        return Pair(name, name, None, source, source, take=self.takes.get(name, ""))
 
     def _stored(self, own: Sequence[Pair], parts: Sequence[Any], compute: Callable) -> Any:
         """Return what was computed of recordings before, or compute and store it."""

@@ -38,7 +38,7 @@ from gesturekit.evaluation.statistics.intervals import (
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 INTER_SAMPLES = 20
 """Samples of one recording that are compared with each other, at most."""
@@ -124,7 +124,7 @@ class SetMetrics:
         self,
         full: MotionSample,
         compared: MotionSample | None,
-        model: FeatureModel | None,
+        model: Extractor | None,
     ) -> dict[str, MetricResult]:
         """Compute Fréchet distances to the full set of recordings, and the diversity of clips.
 
@@ -151,7 +151,7 @@ class SetMetrics:
         definition: Definition,
         full: MotionSample,
         compared: MotionSample | None,
-        model: FeatureModel | None,
+        model: Extractor | None,
     ) -> MetricResult | None:
         """Return one metric of `frechet`; None if it needs a feature extractor."""
 

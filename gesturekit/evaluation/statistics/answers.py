@@ -4,9 +4,9 @@ One line an answer, with the columns `user, input_code, model_a, model_b, winner
 juiceOptions, juiceOtherReason` (github.com/genea-workshop/leaderboard-statistical-analysis).
 `model_a` was shown on the left. A system whose name ends in `_Mismatched` is that system's motion
 of other speech. Our pages add further columns: `checks` and `checks_failed` count the attention
-checks of the rater, `style` names the style that was asked for, `seconds` is the time taken. In
-tables made by hand, `winner` may also be the name of one of the two models, and a tie may be called
-equal, both or draw.
+checks of the rater, `comment` is the rater's, `style` names the style that was asked for, `seconds`
+is the time taken. In tables made by hand, `winner` may also be the name of one of the two models,
+and a tie may be called equal, both or draw. Ratings of sliders are read by `ratings`.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ _NOT_STRONG = ("false", "0", "no", "0.0")
 _EMPTY = ("", "none", "nan", "null")
 _TIES = ("tie", "tie (bothbad)", "equal", "both", "draw")
 _MOST_BYTES = 200_000_000
+MOST_COMMENT = 1000
+"""Length of a rater's comment, in characters; the rest is cut off."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,12 @@ class Answer:
         user: the rater.
         clip: the speech segment (`input_code`).
         left, right: the systems shown on either side.
-        score: 2 left clearly better, 1 slightly better, 0 equal, -1 and -2 right.
+        score: 2 left clearly better, 1 slightly better, 0 equal, -1 and -2 right; of ratings, the
+            sign of their difference.
         reasons: GENEA's codes of reasons (`juiceOptions`).
-        style: the style that was asked for; "" in other designs.
+        style: the style, or the question of ratings, that was asked for; "" in other designs.
         seconds: time that the rater took, None if the file does not say it.
+        difference: rating of the left system less that of the right one; None without ratings.
     """
 
     user: str
@@ -65,6 +69,7 @@ class Answer:
     reasons: tuple[str, ...] = ()
     style: str = ""
     seconds: float | None = None
+    difference: float | None = None
 
     @property
     def matched(self) -> str | None:
@@ -72,6 +77,17 @@ class Answer:
         if self.right == self.left + MISMATCHED:
             return self.left
         return self.right if self.left == self.right + MISMATCHED else None
+
+
+@dataclass(frozen=True)
+class Rating:
+    """One rating of one system; `style` is the question, see `Answer`."""
+
+    user: str
+    clip: str
+    system: str
+    style: str
+    value: float
 
 
 @dataclass(frozen=True)
@@ -83,18 +99,55 @@ class Answers:
         excluded: {rater: reason}.
         notes: sentences on lines that were left out or changed.
         has_checks: True if the files say how many attention checks were failed.
+        comments: {rater: comment} of all raters.
+        ratings: the ratings that `kept` compares, of a study with sliders.
     """
 
     kept: tuple[Answer, ...]
     excluded: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     has_checks: bool = False
+    comments: dict[str, str] = field(default_factory=dict)
+    ratings: tuple[Rating, ...] = ()
 
 
-def read_answers(
+@dataclass(frozen=True)
+class RaterNotes:
+    """Attention checks and comments of raters, from the columns of their answers.
+
+    Attributes:
+        failed: {rater: (failed checks, checks)}.
+        comments: {rater: comment}.
+    """
+
+    failed: dict[str, tuple[int, int]] = field(default_factory=dict)
+    comments: dict[str, str] = field(default_factory=dict)
+
+    def add(self, user: str, row: dict[str, str], where: str) -> None:
+        """Add what a line says of its rater.
+
+        Raises:
+            EvaluationError: a number of checks that is none.
+        """
+        if row.get("checks_failed", ""):
+            wrong, checks = (_count(row, name, where) for name in ("checks_failed", "checks"))
+            self.failed[user] = max(self.failed.get(user, (0, 0)), (wrong, checks))
+        if comment := row.get("comment", ""):
+            self.comments[user] = comment[:MOST_COMMENT]
+
+    def excluded(self, failed_checks: int | None) -> dict[str, str]:
+        """Return {rater: reason} of those who failed that many checks; None excludes nobody."""
+        return {
+            user: f"failed {wrong} of {counted(checks, 'attention check')}"
+            for user, (wrong, checks) in self.failed.items()
+            if failed_checks is not None and wrong >= failed_checks
+        }
+
+
+def read_votes(
     paths: Sequence[str | os.PathLike[str]], *, failed_checks: int | None = 1
 ) -> Answers:
-    """Read answers from CSV files, or from all CSV files in folders.
+    """Read pairwise votes from CSV files, or from all CSV files in folders.
 
     Args:
         paths: files and folders.
@@ -109,15 +162,14 @@ def read_answers(
 
         >>> columns = "user,input_code,model_a,model_b,winner,is_strong"
         >>> _ = (folder / "answers.csv").write_text(f"{columns}\\nu,clip,ours,theirs,model_a,True")
-        >>> read_answers([folder / "answers.csv"]).kept[0].score
+        >>> read_votes([folder / "answers.csv"]).kept[0].score
         2
     """
     found: list[Answer] = []
-    failed: dict[str, tuple[int, int]] = {}
+    raters = RaterNotes()
     seen: dict[tuple[str, ...], Path] = {}
     sessions: dict[tuple[str, str], set[str]] = {}
     repeated = same = unsaid = 0
-    has_checks = False
     for path in csv_files(paths):
         for number, row in csv_rows(path, _columns):
             key = tuple(f"{name}={value}" for name, value in sorted(row.items()) if name)
@@ -126,12 +178,7 @@ def read_answers(
                 continue
             where = f"{path}, line {number}"
             answer = _answer(row, where)
-            if row.get("checks_failed", ""):
-                has_checks = True
-                wrong, all_checks = (
-                    _count(row, name, where) for name in ("checks_failed", "checks")
-                )
-                failed[answer.user] = max(failed.get(answer.user, (0, 0)), (wrong, all_checks))
+            raters.add(answer.user, row, where)
             session = sessions.setdefault((answer.user, row.get("study", "")), set())
             session.add(row.get("finished", ""))
             unsaid += answer.score != 0 and row["is_strong"].lower() in _EMPTY
@@ -139,17 +186,13 @@ def read_answers(
                 same += 1
             else:
                 found.append(answer)
-    excluded = {
-        user: f"failed {wrong} of {counted(all_checks, 'attention check')}"
-        for user, (wrong, all_checks) in failed.items()
-        if failed_checks is not None and wrong >= failed_checks
-    }
+    excluded = raters.excluded(failed_checks)
     kept = tuple(answer for answer in found if answer.user not in excluded)
     if not kept:
         why = f": {counted(len(excluded), 'rater')} failed attention checks" if excluded else ""
         raise EvaluationError(f"{listed([str(p) for p in paths])}: no answer to analyse{why}")
     notes = _notes(repeated, same, unsaid, sessions)
-    return Answers(kept, excluded, tuple(notes), has_checks)
+    return Answers(kept, excluded, tuple(notes), bool(raters.failed), raters.comments)
 
 
 def _notes(
@@ -271,11 +314,16 @@ def _answer(row: dict[str, str], where: str) -> Answer:
         score=side * (2 if strong in _STRONG else 1),
         reasons=_reasons(row.get("juiceOptions", "")),
         style=row.get("style", ""),
-        seconds=_seconds(row.get("seconds", ""), where),
+        seconds=seconds_of(row.get("seconds", ""), where),
     )
 
 
-def _seconds(text: str, where: str) -> float | None:
+def seconds_of(text: str, where: str) -> float | None:
+    """Return a time in seconds, None for an empty text.
+
+    Raises:
+        EvaluationError: it is no time.
+    """
     try:
         value = float(text) if text else None
     except ValueError:

@@ -14,37 +14,25 @@ import numpy as np
 
 from gesturekit.evaluation.statistics.answers import MISMATCHED, Answer
 from gesturekit.evaluation.statistics.intervals import holm
-from gesturekit.study.analysis.significance import (
-    Estimate,
-    mean_test,
-    share,
-)
+from gesturekit.study.analysis.preference import PairScore, compare
+from gesturekit.study.analysis.significance import Estimate, mean_test
 from gesturekit.study.analysis.votes import Votes
 
 
 @dataclass(frozen=True)
-class AlignmentScore:
-    """Alignment of one system.
+class AlignmentScore(PairScore):
+    """Alignment of one system: its matched motion `a` against its motion of other speech `b`.
 
     Attributes:
-        name: the system.
-        counts: matched clearly better, slightly, equal, mismatched slightly, clearly.
-        raters: raters who judged it.
         score: alignment score, 0 to 1; interval by bootstrap over raters and clips.
-        win_rate: share of preferences for the matched motion, ties excluded; interval over raters
-            and clips.
-        mean: mean score, 2 to -2; below 0 if raters prefer other speech.
-        p: test of the mean over raters and clips; `p_holm` for all systems.
     """
 
-    name: str
-    counts: tuple[int, ...]
-    raters: int
     score: Estimate
-    win_rate: Estimate
-    mean: float
-    p: float
-    p_holm: float
+
+    @property
+    def name(self) -> str:
+        """The system."""
+        return self.a
 
 
 @dataclass(frozen=True)
@@ -71,7 +59,7 @@ def analyse_alignment(answers: Sequence[Answer], rounds: int, seed: int) -> Alig
     names = sorted({answer.matched for answer in answers if answer.matched})
     votes = Votes.of(answers)
     own = {name: _matched(votes, name) for name in names}
-    found = [_score(name, own[name], rounds, seed) for name in names]
+    found = [_score(votes, own[name], rounds, seed) for name in names]
     adjusted = holm([score.p for score in found]).tolist()
     scores = [replace(score, p_holm=p) for score, p in zip(found, adjusted, strict=True)]
     scores.sort(key=lambda score: (-score.score.value, score.name))
@@ -95,26 +83,17 @@ def _difference(one: Votes, other: Votes) -> float:
     return mean_test(scores, rater, clip, np.arange(len(scores)) < len(one.score))
 
 
-def _score(name: str, votes: Votes, rounds: int, seed: int) -> AlignmentScore:
-    own, other = int(votes.first[0]), int(votes.second[0])
+def _score(votes: Votes, own: Votes, rounds: int, seed: int) -> AlignmentScore:
+    matched, other = int(own.first[0]), int(own.second[0])
 
     def alignment(counts: np.ndarray) -> np.ndarray:
         clear, slight, ties = np.moveaxis(counts, 1, 0)
         won, lost = (
             2.0 * clear[:, i, j] + slight[:, i, j] + 0.5 * ties[:, i, j]
-            for i, j in ((own, other), (other, own))
+            for i, j in ((matched, other), (other, matched))
         )
         with np.errstate(invalid="ignore"):
             return (won / (won + lost))[:, None]
 
-    (score,) = votes.estimates(alignment, rounds, seed)
-    return AlignmentScore(
-        name=name,
-        counts=votes.tally,
-        raters=votes.n_raters,
-        score=score,
-        win_rate=share(*votes.answers),
-        mean=float(votes.score.mean()),
-        p=mean_test(*votes.answers),
-        p_holm=float("nan"),
-    )
+    (score,) = own.estimates(alignment, rounds, seed)
+    return AlignmentScore(**vars(compare(votes, matched, other)), score=score)

@@ -26,7 +26,8 @@ def all_plots(found: StudyResult) -> dict[str, str]:
             ratings = [system.elo for system in preference.systems]
             plots["Elo ratings with 95 % intervals"] = _points(names, ratings, 1000, "Elo rating")
         merits = [system.merit for system in preference.systems]
-        plots["Merit scores with 95 % intervals"] = _points(names, merits, None, "merit score")
+        what = "mean rating" if preference.rated else "merit score"
+        plots[f"{what.capitalize()}s with 95 % intervals"] = _points(names, merits, None, what)
         rows = [(f"{p.a} : {p.b}", p.counts) for p in preference.pairs]
         plots["Answers to each pair, from the first clearly better to the second"] = _bars(rows)
     if alignment is not None:

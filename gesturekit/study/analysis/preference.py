@@ -7,6 +7,7 @@ over all answers in which the system was shown.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -14,12 +15,13 @@ from itertools import combinations
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from gesturekit.evaluation.statistics.answers import Answer
+from gesturekit.evaluation.statistics.answers import Answer, Rating
 from gesturekit.evaluation.statistics.intervals import holm
 from gesturekit.study.analysis.significance import (
     Anova,
     Estimate,
     anova,
+    mean_estimate,
     mean_test,
     share,
 )
@@ -98,7 +100,8 @@ class SystemScore:
     Attributes:
         name: the system.
         n: answers in which it was shown.
-        merit: merit score, 0 to 2; interval by bootstrap over raters and clips.
+        merit: merit score, 0 to 2; interval by bootstrap over raters and clips. Of ratings, their
+            mean with its interval over both.
         elo: Elo rating of the Bradley-Terry fit; NaN where comparisons do not connect the systems.
     """
 
@@ -117,7 +120,7 @@ class PairScore:
         counts: a clearly, a slightly, equal, b slightly, b clearly.
         raters: raters who compared them.
         win_rate: share of preferences for `a`, ties excluded; interval over raters and clips.
-        mean: mean score, 2 to -2; below 0 if raters prefer `b`.
+        mean: mean score, 2 to -2, or mean difference of ratings; below 0 if raters prefer `b`.
         p: test of the mean over raters and clips; `p_holm` is adjusted for the number of pairs.
         p_tukey: Tukey's test of merit scores.
     """
@@ -146,10 +149,11 @@ class Preference:
         systems: best first, by Elo rating or, where there is none, by merit.
         pairs: all pairs that were compared.
         not_compared: pairs of systems without a single answer.
-        anova: one-way ANOVA of merit scores; None if scores of a system do not vary.
+        anova: one-way ANOVA of merit scores; None if scores of a system do not vary, or of ratings.
         separate: groups of systems that no comparison connects, if there are several.
         bounded: False if a system never lost or never won, so that ratings have no finite value.
         votes: counts behind it.
+        rated: True if the answers are ratings.
     """
 
     systems: tuple[SystemScore, ...]
@@ -159,6 +163,7 @@ class Preference:
     separate: tuple[tuple[str, ...], ...]
     bounded: bool
     votes: Votes
+    rated: bool = False
 
 
 def merit_scores(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,18 +175,21 @@ def merit_scores(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return (2 * clear + slight).sum(axis=-1) / shown, shown
 
 
-def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Preference:
+def analyse_preference(
+    answers: Sequence[Answer], rounds: int, seed: int, ratings: Sequence[Rating] = ()
+) -> Preference:
     """Analyse answers that compare systems with each other.
 
     Args:
         answers: at least one.
         rounds: rounds of the bootstrap over raters and clips.
         seed: the same seed gives the same intervals.
+        ratings: the ratings that the answers compare, if they are ratings.
     """
     votes = Votes.of(answers)
     total = weighted_wins(votes.counts)
     separate = connected_groups(total)
-    variance = anova(*_responses(votes))
+    variance = None if ratings else anova(*_responses(votes))
 
     def merit_and_elo(counts: np.ndarray) -> np.ndarray:
         merit, _ = merit_scores(counts)
@@ -191,31 +199,39 @@ def analyse_preference(answers: Sequence[Answer], rounds: int, seed: int) -> Pre
 
     estimates = votes.estimates(merit_and_elo, rounds, seed)
     shown, k = merit_scores(votes.counts)[1], len(votes.systems)
-    unrated = [Estimate(float("nan"), float("nan"), float("nan"))] * k
+    elos = estimates[k:] or [Estimate(math.nan, math.nan, math.nan)] * k
+    merits = estimates[:k]
+    if ratings:
+        merits, shown = zip(*(_mean_rating(name, ratings) for name in votes.systems), strict=True)
     systems = [
         SystemScore(name, int(n), merit, rating)
-        for name, n, merit, rating in zip(
-            votes.systems, shown, estimates, estimates[k:] or unrated, strict=False
-        )
+        for name, n, merit, rating in zip(votes.systems, shown, merits, elos, strict=True)
     ]
     key = [s.merit.value if len(separate) > 1 else s.elo.value for s in systems]
     order = sorted(range(len(systems)), key=lambda i: (-key[i], systems[i].name))
     names = votes.systems
-    pairs = _pairs(votes, variance)
     return Preference(
         systems=tuple(systems[i] for i in order),
-        pairs=tuple(pairs),
+        pairs=tuple(_pairs(votes, variance)),
         not_compared=tuple(
-            (names[i], names[j])
-            for i in range(len(names))
-            for j in range(i + 1, len(names))
-            if votes.compared[i, j] == 0
+            (names[i], names[j]) for i, j in combinations(range(k), 2) if votes.compared[i, j] == 0
         ),
         anova=variance,
         separate=tuple(tuple(names[i] for i in g) for g in separate) if len(separate) > 1 else (),
         bounded=is_bounded(total),
         votes=votes,
+        rated=bool(ratings),
     )
+
+
+def _mean_rating(system: str, ratings: Sequence[Rating]) -> tuple[Estimate, int]:
+    """Return the mean rating of a system, and the number of its ratings."""
+    given = [rating for rating in ratings if rating.system == system]
+    rater, clip = (
+        np.unique(names, return_inverse=True)[1]
+        for names in ([r.user for r in given], [r.clip for r in given])
+    )
+    return mean_estimate(np.array([r.value for r in given]), rater, clip), len(given)
 
 
 def _responses(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
@@ -224,26 +240,22 @@ def _responses(votes: Votes) -> tuple[np.ndarray, np.ndarray]:
     return scores.astype(float), np.concatenate([votes.first, votes.second])
 
 
+def compare(votes: Votes, a: int, b: int, p_tukey: float = math.nan) -> PairScore:
+    """Return the comparison of two systems, given by their indices; p is not adjusted."""
+    pair = votes.between(a, b)
+    p = mean_test(*pair.answers)
+    return PairScore(
+        votes.systems[a], votes.systems[b], pair.tally, pair.n_raters, share(*pair.answers),
+        float(pair.value.mean()), p, p, p_tukey,
+    )  # fmt: skip
+
+
 def _pairs(votes: Votes, variance: Anova | None) -> list[PairScore]:
     tukey = variance.tukey if variance else {}
-    found = []
+    pairs = []
     for i, j in combinations(range(len(votes.systems)), 2):
         a, b = (i, j) if votes.wins[i, j] >= votes.wins[j, i] else (j, i)
-        pair = votes.between(a, b)
-        if not len(pair.score):
-            continue
-        found.append(
-            PairScore(
-                votes.systems[a],
-                votes.systems[b],
-                pair.tally,
-                pair.n_raters,
-                share(*pair.answers),
-                float(pair.score.mean()),
-                mean_test(*pair.answers),
-                float("nan"),
-                tukey.get((i, j), float("nan")),
-            )
-        )
-    adjusted = holm([pair.p for pair in found]).tolist()
-    return [replace(pair, p_holm=p) for pair, p in zip(found, adjusted, strict=True)]
+        if votes.compared[i, j]:
+            pairs.append(compare(votes, a, b, tukey.get((i, j), math.nan)))
+    adjusted = holm([pair.p for pair in pairs]).tolist()
+    return [replace(pair, p_holm=p) for pair, p in zip(pairs, adjusted, strict=True)]

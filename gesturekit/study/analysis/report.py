@@ -6,7 +6,7 @@ import html
 import json
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,9 @@ one rater are not, nor are those on one clip: equal systems then differ far too 
 beside p, not in its place.</li>
 <li>Bradley-Terry model by logistic regression on weighted wins: clear 4, slight 2, a tie 1 to each
 side. Elo = 400 &middot; strength / ln 10 + 1000.</li>
+<li>Ratings (sliders of several systems at once, HEMVIP, Jonell et al. 2021): any two systems that a
+rater rated for a clip are compared. Means have intervals over raters and clips by the same
+variance; p tests the mean difference; for Elo, the higher rating is a slight preference.</li>
 <li>Alignment: clear preferences weigh 2, ties half; chance is 50 %. Two systems are compared by the
 test of their mean scores over raters and clips.</li>
 <li>Intervals of merit, Elo and alignment: bootstrap over raters and clips (Owen 2007), 95 %,
@@ -62,8 +65,9 @@ def write_study_report(
         *(s for name, one in found.by_style.items() for s in _preference_sections(one, name)),
         *([_alignment_section(found.alignment)] if found.alignment else ()),
         plots_section(all_plots(found)),
-        _reasons(found),
-        _excluded(found),
+        _listing("Reasons given", ("Reason", "Answers"), found.reasons),
+        _listing("Comments", ("Rater", "Comment"), found.answers.comments),
+        _listing("Excluded raters", ("Rater", "Reason"), found.answers.excluded),
         section("Method", "", _METHOD.format(rounds=f"{found.rounds:,}", seed=found.seed)),
     ]
     values = {
@@ -88,6 +92,7 @@ def write_json(found: StudyResult, path: str | os.PathLike[str]) -> None:
         "by_style": {name: _figures(one) for name, one in found.by_style.items()},
         "alignment": asdict(found.alignment) if found.alignment else None,
         "reasons": found.reasons,
+        "comments": found.answers.comments,
         "rounds": found.rounds,
         "seed": found.seed,
     }
@@ -99,13 +104,12 @@ def _figures(preference: Preference | None) -> dict[str, Any] | None:
     if preference is None:
         return None
     anova = preference.anova
+    df = anova and [anova.between, anova.within]
     return {
         "systems": [asdict(system) for system in preference.systems],
         "pairs": [asdict(pair) for pair in preference.pairs],
         "not_compared": preference.not_compared,
-        "anova": {"f": anova.f, "p": anova.p, "df": [anova.between, anova.within]}
-        if anova
-        else None,
+        "anova": anova and {"f": anova.f, "p": anova.p, "df": df},
     }
 
 
@@ -126,7 +130,7 @@ def _notes(found: StudyResult) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table; the first column and the head are escaped, other cells are HTML."""
+    """Return a table; the head and first cells are escaped, other cells are HTML."""
     heads = "".join(f"<th>{html.escape(name)}</th>" for name in head)
     body = "".join(
         f"<tr><th>{html.escape(name)}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
@@ -146,104 +150,60 @@ def _estimate(found: Estimate, digits: int, factor: float = 1.0) -> str:
 
 
 def _p(p: float) -> str:
-    return f'<span class="yes">{p_text(p)}</span>' if is_significant(p) else p_text(p)
+    text = html.escape(p_text(p))
+    return f'<span class="yes">{text}</span>' if is_significant(p) else text
 
 
 def _preference_sections(preference: Preference, style: str) -> list[str]:
-    about = f"Style {style}: " if style else ""
     systems = _table(
-        ("System", "Answers", "Merit score", "Elo"),
+        ("System", "Ratings", "Mean rating", "Elo")
+        if preference.rated
+        else ("System", "Answers", "Merit score", "Elo"),
         (
             (s.name, str(s.n), _estimate(s.merit, 2), _estimate(s.elo, 0))
             for s in preference.systems
         ),
     )
-    anova = preference.anova
-    lead = (
-        f"One-way ANOVA of merit scores: F({anova.between}, {anova.within}) = {anova.f:.2f}, "
-        f"{p_text(anova.p)}."
-        if anova
-        else ""
-    )
-    pairs = _table(
-        ("Pair", *_SCORES, "Win rate, %", "p (Holm)", "p (Tukey)"),
-        (
-            (
-                f"{p.a} : {p.b}",
-                *map(str, p.counts),
-                _estimate(p.win_rate, 0, 100.0),
-                _p(p.p_holm),
-                _p(p.p_tukey),
-            )
-            for p in preference.pairs
-        ),
-    )
-    return [
-        section(f"{about}systems" if style else "Systems", lead, systems),
-        section(
-            f"{about}pairs" if style else "Pairs",
-            "Answers for the first and for the second system; the win rate is the first one's.",
-            pairs + "<h3>Win, tie, loss</h3>" + _matrix(preference),
-        ),
-    ]
-
-
-def _matrix(preference: Preference) -> str:
-    """Return the win-tie-loss matrix: the row's system against the column's."""
-    votes = preference.votes
-    names = [system.name for system in preference.systems]
-    place = [votes.systems.index(name) for name in names]
-    wins, ties = votes.wins.astype(int), votes.counts[2].astype(int)
-
-    def cell(i: int, j: int) -> str:
-        if i == j:
-            return ""
-        if votes.compared[i, j] == 0:
-            return "not compared"
-        return f"{wins[i, j]} · {ties[i, j]} · {wins[j, i]}"
-
-    rows = ((name, *(cell(i, j) for j in place)) for name, i in zip(names, place, strict=True))
-    return _table(("", *names), rows)
+    anova, lead = preference.anova, ""
+    if anova:
+        lead = f"F({anova.between}, {anova.within}) = {anova.f:.2f}, {html.escape(p_text(anova.p))}"
+        lead = f"One-way ANOVA of merit scores: {lead}."
+    rows = [
+        [f"{p.a} : {p.b}", *map(str, p.counts), _estimate(p.win_rate, 0, 100.0), f"{p.mean:+.2f}"]
+        + [_p(p.p_holm)] + [_p(p.p_tukey)] * bool(anova)
+        for p in preference.pairs
+    ]  # fmt: skip
+    head = ["Pair", *_SCORES, "Win rate, %", "Mean difference", "p (Holm)"]
+    head += ["p (Tukey)"] * bool(anova)
+    if preference.rated:  # no preference of a rating is clear or slight
+        head[1:6] = ["Higher", "Equal", "Lower"]
+        for row in rows:
+            row[1:6] = row[2:5]
+    pairs = _table(head, rows)
+    what = "Answers for the first and for the second system; the win rate is the first one's."
+    titles = (f"{style}: systems", f"{style}: pairs") if style else ("Systems", "Pairs")
+    return [section(titles[0], lead, systems), section(titles[1], what, pairs)]
 
 
 def _alignment_section(alignment: Alignment) -> str:
     systems = _table(
+        ("System", *_SCORES, "Alignment, %", "Win rate, %", "p"),
         (
-            "System",
-            *_SCORES,
-            "Alignment, %",
-            "Win rate, %",
-            "p",
-        ),
-        (
-            (
-                s.name,
-                *map(str, s.counts),
-                _estimate(s.score, 1, 100.0),
-                _estimate(s.win_rate, 0, 100.0),
-                _p(s.p_holm),
-            )
+            (s.name, *map(str, s.counts), _estimate(s.score, 1, 100.0))
+            + (_estimate(s.win_rate, 0, 100.0), _p(s.p_holm))
             for s in alignment.systems
         ),
     )
     pairs = _table(
         ("Difference between", "p", "p (Holm)"),
-        ((f"{a} : {b}", p_text(p), _p(q)) for a, b, p, q in alignment.differences),
+        ((f"{a} : {b}", html.escape(p_text(p)), _p(q)) for a, b, p, q in alignment.differences),
     )
     lead = "Matched against mismatched motion of the same system; chance is 50 %."
     body = systems + (pairs if alignment.differences else "")
     return section("Alignment with speech", lead, body)
 
 
-def _reasons(found: StudyResult) -> str:
-    if not found.reasons:
-        return ""
-    rows = ((name, str(n)) for name, n in found.reasons.items())
-    return section("Reasons given", "", _table(("Reason", "Answers"), rows))
-
-
-def _excluded(found: StudyResult) -> str:
-    if not found.answers.excluded:
-        return ""
-    rows = ((user, html.escape(why)) for user, why in found.answers.excluded.items())
-    return section("Excluded raters", "", _table(("Rater", "Reason"), rows))
+def _listing(title: str, head: tuple[str, str], rows: Mapping[str, object]) -> str:
+    """Return the section of a table of two columns; "" without rows."""
+    cells = [(name, html.escape(str(value))) for name, value in rows.items()]
+    return section(title, "", _table(head, cells)) if cells else ""

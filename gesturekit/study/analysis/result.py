@@ -13,7 +13,7 @@ from gesturekit.errors import ConfigError
 from gesturekit.evaluation.statistics.answers import Answer, Answers
 from gesturekit.study.analysis.alignment import Alignment, AlignmentScore, analyse_alignment
 from gesturekit.study.analysis.preference import PairScore, Preference, analyse_preference
-from gesturekit.study.analysis.significance import ALPHA, Estimate, share, statsmodels_module
+from gesturekit.study.analysis.significance import ALPHA, Estimate, share
 from gesturekit.study.analysis.votes import ROUNDS, Votes
 from gesturekit.wording import counted, listed, printable
 
@@ -25,9 +25,10 @@ class StudyResult:
     Attributes:
         answers: answers that counted, and notes on the others.
         raters, clips: numbers of raters and of speech segments.
-        left: share of preferences for the left side, with its interval.
-        preference: comparison of systems; None if none were compared.
-        by_style: {style: comparison of systems} if several styles were asked for.
+        left: share of preferences for the left side, with its interval; NaN of ratings.
+        preference: comparison of systems; None if none were compared, or if ratings answer several
+            questions.
+        by_style: {style or question: comparison of systems} if there were several.
         alignment: matched against mismatched motion; None if there was none.
         reasons: {reason: number of answers that give it}, most frequent first.
         rounds, seed: settings of the bootstrap.
@@ -54,26 +55,33 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
         seed: the same seed gives the same intervals.
 
     Raises:
-        ConfigError: `rounds` is not positive, or statsmodels is not installed.
+        ConfigError: `rounds` is not positive.
         EvaluationError: too many raters and systems.
     """
     if rounds < 1:
         raise ConfigError(f"rounds is {rounds}: the bootstrap needs at least 1, better 10000")
-    statsmodels_module("api")
     kept = answers.kept
     matched = [answer for answer in kept if answer.matched]
     compared = [answer for answer in kept if not answer.matched]
     styles = sorted({answer.style for answer in compared if answer.style})
     by_style = {
-        style: analyse_preference([a for a in compared if a.style == style], rounds, seed)
+        style: analyse_preference(
+            [a for a in compared if a.style == style], rounds, seed,
+            [rating for rating in answers.ratings if rating.style == style],
+        )
         for style in (styles if len(styles) > 1 else ())
-    }
+    }  # fmt: skip
+    # Ratings of different questions have no common mean, and no left side.
+    together = compared and not (answers.ratings and by_style)
+    nowhere = Estimate(math.nan, math.nan, math.nan)
     return StudyResult(
         answers=answers,
         raters=len({answer.user for answer in kept}),
         clips=len({answer.clip for answer in kept}),
-        left=share(*Votes.of(kept).answers),
-        preference=analyse_preference(compared, rounds, seed) if compared else None,
+        left=nowhere if answers.ratings else share(*Votes.of(kept).answers),
+        preference=analyse_preference(compared, rounds, seed, answers.ratings)
+        if together
+        else None,
         by_style=by_style,
         alignment=analyse_alignment(matched, rounds, seed) if matched else None,
         reasons=dict(Counter(r for answer in kept for r in answer.reasons).most_common()),
@@ -89,8 +97,9 @@ FEW_CLIPS = 10
 def conclusions(found: StudyResult) -> list[str]:
     """Return sentences on what may be concluded from a study."""
     answers = len(found.answers.kept)
+    said = "comparison" if found.answers.ratings else "answer"
     lines = [
-        f"{counted(answers, 'answer')} of {counted(found.raters, 'rater')} on "
+        f"{counted(answers, said)} of {counted(found.raters, 'rater')} on "
         f"{counted(found.clips, 'speech segment')}; "
         f"{counted(len(found.answers.excluded), 'rater')} excluded by attention checks."
     ]
@@ -119,8 +128,8 @@ def reservations(found: StudyResult) -> list[str]:
         lines.append(
             f"{counted(found.clips, 'speech segment')}: findings may hold for these clips only."
         )
-    if found.preference is not None:
-        lines += _limits_of(found.preference)
+    for preference in [found.preference] if found.preference else found.by_style.values():
+        lines += _limits_of(preference)
     if found.left.low > 0.5 or found.left.high < 0.5:
         lines.append(
             f"{_percent(found.left)} of preferences are for the left side: raters favour it, or "
@@ -178,7 +187,8 @@ def _limits_of(preference: Preference) -> Iterator[str]:
 
 def _on_preference(preference: Preference, prefix: str) -> Iterator[str]:
     names = [system.name for system in preference.systems]
-    measure = "merit score" if preference.separate else "Elo rating"
+    merit = "mean rating" if preference.rated else "merit score"
+    measure = merit if preference.separate else "Elo rating"
     yield f"{prefix}Order by {measure}, best first: {listed(names, 20)}."
     unclear = []
     for pair in sorted(preference.pairs, key=lambda p: (names.index(p.a), names.index(p.b))):

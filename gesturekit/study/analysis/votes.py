@@ -30,6 +30,7 @@ class Votes:
         systems: (k,) names, sorted.
         first, second: (n,) indices of the systems that were compared.
         score: (n,) 2 first clearly better, 1 slightly better, 0 equal, -1 and -2 second.
+        value: (n,) what is tested: the score or, of ratings, the difference.
         rater, clip: (n,) index of the rater and of the speech segment.
     """
 
@@ -37,6 +38,7 @@ class Votes:
     first: np.ndarray
     second: np.ndarray
     score: np.ndarray
+    value: np.ndarray
     rater: np.ndarray
     clip: np.ndarray
 
@@ -61,7 +63,8 @@ class Votes:
             )
         first, second = shown.reshape(-1, 2).T
         score = np.array([answer.score for answer in answers])
-        return cls(tuple(map(str, systems)), first, second, score, rater, clip)
+        value = [a.score if a.difference is None else a.difference for a in answers]
+        return cls(tuple(map(str, systems)), first, second, score, np.array(value), rater, clip)
 
     def between(self, one: int, other: int) -> Votes:
         """Return the votes on two systems; positive scores are for `one`."""
@@ -74,14 +77,15 @@ class Votes:
             np.full(n, one),
             np.full(n, other),
             sign * self.score[kept],
+            sign * self.value[kept],
             self.rater[kept],
             self.clip[kept],
         )
 
     @property
     def answers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Scores, raters and clips (n,), as `mean_test` and `share` take them."""
-        return self.score, self.rater, self.clip
+        """Values, raters and clips (n,), as `mean_test` and `share` take them."""
+        return self.value, self.rater, self.clip
 
     @property
     def n_raters(self) -> int:

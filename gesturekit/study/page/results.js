@@ -1,22 +1,25 @@
-// The answers of one rater as CSV: GENEA's columns, then our own (see evaluation/agreement/answers.py).
+// The answers of one rater as CSV. Comparisons: GENEA's columns, then our own (see
+// evaluation/statistics/answers.py); ratings: a line for each slider (evaluation/statistics/ratings.py).
 
+const OF_RATER = ["study", "checks", "checks_failed", "comment", "list", "study_id", "session_id", "finished"];
 export const COLUMNS = [
   "user", "input_code", "model_a", "model_b", "winner", "is_strong", "juiceOptions", "juiceOtherReason",
-  "study", "trial", "answer", "style", "seconds", "plays_left", "plays_right",
-  "checks", "checks_failed", "list", "study_id", "session_id", "finished",
+  "trial", "answer", "style", "seconds", "plays_left", "plays_right", ...OF_RATER,
 ];
+const RATING_COLUMNS = [
+  "rater", "system", "clip", "question", "value", "trial", "position", "seconds", "plays", ...OF_RATER,
+];
+const TOLERANCE = 5; // of a slider in an attention check
 
 const cell = (value) => {
   const text = String(value ?? "");
   return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 };
 
-function row(rater, trial, index, checks) {
+function comparison(trial) {
   const { answer } = trial;
   const winner = answer === "TheyAreEqual" ? "tie" : answer.startsWith("Left") ? "model_a" : "model_b";
-  return {
-    ...rater,
-    ...checks,
+  return [{
     input_code: trial.clip,
     model_a: trial.systems[0],
     model_b: trial.systems[1],
@@ -24,26 +27,35 @@ function row(rater, trial, index, checks) {
     is_strong: winner === "tie" ? "" : answer.includes("Clearly") ? "True" : "False",
     juiceOptions: trial.reasons.length ? JSON.stringify(trial.reasons) : "{}",
     juiceOtherReason: trial.other ? JSON.stringify(trial.other) : "",
-    trial: index + 1,
     answer,
     style: trial.style ?? "",
     seconds: trial.seconds,
     plays_left: trial.plays[0],
     plays_right: trial.plays[1],
-  };
+  }];
 }
 
+const ratings = (trial) => trial.values.map((value, i) => ({
+  system: trial.systems[i],
+  clip: trial.clip,
+  question: trial.question,
+  value,
+  position: i + 1,
+  seconds: trial.seconds,
+  plays: trial.plays[i],
+}));
+
+const passed = (trial) => (trial.values
+  ? Math.abs(trial.values[trial.checked] - trial.expected) <= TOLERANCE
+  : trial.answer === trial.expected);
+
 export function toCsv(rater, trials) {
-  const asked = trials.filter((trial) => trial.expected);
-  const checks = {
-    checks: asked.length,
-    checks_failed: asked.filter((trial) => trial.answer !== trial.expected).length,
-  };
-  const lines = trials
-    .map((trial, i) => [trial, i])
-    .filter(([trial]) => !trial.expected)
-    .map(([trial, i]) => row(rater, trial, i, checks));
-  return [COLUMNS, ...lines.map((line) => COLUMNS.map((name) => line[name]))]
+  const asked = trials.filter((trial) => "expected" in trial);
+  const about = { ...rater, rater: rater.user, checks: asked.length, checks_failed: asked.filter((trial) => !passed(trial)).length };
+  const lines = trials.flatMap((trial, i) => ("expected" in trial ? [] : trial.values ? ratings(trial) : comparison(trial))
+    .map((line) => ({ ...about, ...line, trial: i + 1 })));
+  const columns = trials.some((trial) => trial.values) ? RATING_COLUMNS : COLUMNS;
+  return [columns, ...lines.map((line) => columns.map((name) => line[name]))]
     .map((cells) => cells.map(cell).join(",") + "\r\n")
     .join("");
 }

@@ -19,7 +19,10 @@
 
 import { initJsPsych } from "jspsych";
 import { download, post, toCsv } from "./results.js";
-import TwoClips, { emphasised, make } from "./two_clips.js";
+import Sliders from "./sliders.js";
+import { soundCheck } from "./sound_check.js";
+import { emphasised, make } from "./trial.js";
+import TwoClips from "./two_clips.js";
 
 const setup = JSON.parse(document.getElementById("setup").textContent);
 const parameters = new URLSearchParams(location.search);
@@ -66,7 +69,7 @@ class Screen {
   constructor(psych) { this.psych = psych; }
 
   trial(display, { build }) {
-    display.replaceChildren(make("div", { class: "page" }, ...build(() => this.psych.finishTrial({}))));
+    display.replaceChildren(make("div", { class: "page" }, ...build((data = {}) => this.psych.finishTrial(data))));
     window.scrollTo(0, 0);
   }
 }
@@ -98,7 +101,14 @@ const styleScreen = (style, question) =>
 // Comparisons in the order of this rater: styles in their order, shuffled within.
 function ordered(trials) {
   const groups = setup.styles.length ? setup.styles.map(({ name }) => trials.filter((t) => t.style === name)) : [trials];
-  return groups.map((group) => shuffle(group));
+  return groups.map((group) => shuffle(group).map(inOrder));
+}
+
+// Sliders stand in another order on each page; the sides of a pair are those of the list.
+function inOrder(trial) {
+  if (!setup.scale) return trial;
+  const order = shuffle(trial.sides.map((_, i) => i));
+  return { ...trial, systems: order.map((i) => trial.systems[i]), sides: order.map((i) => trial.sides[i]) };
 }
 
 // An attention check shows a comparison again that was seen before. It is never the first.
@@ -109,36 +119,60 @@ function withChecks(groups) {
     const place = flat.indexOf(trial);
     if (!places.includes(place)) return [trial];
     const [shown = trial] = shuffle(flat.slice(0, place).filter(({ style }) => style === trial.style));
-    const { code, text } = shuffle(setup.answers.filter((answer) => answer.code !== "TheyAreEqual"))[0];
-    return [{ ...shown, expected: code, message: `Attention: please select “${text}”.` }, trial];
+    return [check(shown), trial];
   }));
 }
 
+function check(shown) {
+  if (setup.scale) {
+    const [expected] = shuffle([10, 20, 30, 70, 80, 90]);
+    const [checked] = shuffle(shown.sides.map((_, i) => i));
+    return { ...shown, expected, checked, message: `Attention: please set the slider of this clip to ${expected}.` };
+  }
+  const { code, text } = shuffle(setup.answers.filter((answer) => answer.code !== "TheyAreEqual"))[0];
+  return { ...shown, expected: code, checked: 1, message: `Attention: please select “${text}”.` };
+}
+
 function timeline() {
-  const groups = withChecks(ordered(setup.lists[list]));
+  const own = setup.lists[list];
+  const groups = withChecks(ordered(own));
   const count = groups.flat().length;
-  let done = 0;
   const parts = [screen(welcome)];
+  if (setup.sound) parts.push(screen((next) => soundCheck(next, shuffle)));
+  if (setup.practice) {
+    // Not of a segment that this rater is asked about, if there is another.
+    const seen = new Set(own.map(({ clip }) => clip));
+    const other = setup.lists.flat().find(({ clip }) => !seen.has(clip)) ?? own[0];
+    parts.push(page(inOrder(other), { progress: "Practice: this answer does not count", share: 0, data: {} }));
+    parts.push(screen((next) => [make("h1", {}, "That was the practice"), make("p", {}, "The study begins now."), button("Continue", next)]));
+  }
+  let done = 0;
   for (const group of groups) {
     const style = setup.styles.find(({ name }) => name === group[0]?.style);
-    const question = style?.question ?? setup.question;
-    if (style && group.length) parts.push(styleScreen(style, question));
+    if (style && group.length) parts.push(styleScreen(style, style.question));
     for (const trial of group) {
+      const { clip, systems, expected, checked } = trial;
+      const data = { compared: true, clip, systems, style: trial.style ?? "", question: setup.question.replaceAll("*", "") };
+      if (expected !== undefined) Object.assign(data, { expected, checked });
+      parts.push(page(trial, { progress: `${done + 1} of ${count}`, share: done / count, data }));
       done += 1;
-      parts.push({
-        type: TwoClips,
-        sides: trial.sides,
-        question,
-        answers: setup.answers,
-        reasons: trial.expected ? [] : setup.reasons,
-        message: trial.message ?? "",
-        progress: `${done} of ${count}`,
-        share: (done - 1) / count,
-        data: { compared: true, clip: trial.clip, systems: trial.systems, style: trial.style ?? "", expected: trial.expected ?? "" },
-      });
     }
   }
-  return parts;
+  return [...parts, screen(comments)];
+}
+
+// The page of one comparison.
+function page(trial, settings) {
+  const question = setup.styles.find(({ name }) => name === trial.style)?.question ?? setup.question;
+  const shown = { sides: trial.sides, question, message: trial.message ?? "", checked: trial.checked ?? 0, ...settings };
+  if (setup.scale) return { type: Sliders, scale: setup.scale, ...shown };
+  return { type: TwoClips, answers: setup.answers, reasons: trial.expected ? [] : setup.reasons, ...shown };
+}
+
+function comments(next) {
+  const text = make("textarea", { rows: "5", maxlength: String(setup.comment), "aria-label": "Comments" });
+  return [make("h1", {}, "Any comments?"), make("p", {}, "Did anything look odd, or not work? You may leave this empty."), text,
+    button("Finish", () => next({ comment: text.value.trim() }))];
 }
 
 function endScreen(text, saved) {
@@ -155,7 +189,8 @@ const fileName = () => `${setup.name}_${user}.csv`.replace(/[^\p{L}\p{M}\p{N}_.@
 
 async function finish() {
   const trials = jsPsych.data.get().filter({ compared: true }).values();
-  const text = toCsv({ ...rater, finished: new Date().toISOString() }, trials);
+  const { comment } = jsPsych.data.get().last(1).values()[0];
+  const text = toCsv({ ...rater, comment, finished: new Date().toISOString() }, trials);
   let saved = false;
   if (setup.post) {
     try {

@@ -1,8 +1,8 @@
 """A feature extractor for the Fréchet gesture distance, fitted on a reference set.
 
-Published extractors only work for their own rigs or were never released, so values of different
-papers cannot be compared. Two values of this one can be compared if `fingerprint` is the same. It
-is the autoencoder of Yoon et al. 2020, whose bottleneck gives the features.
+Published extractors only work for their own rigs (`published`) or were never released. Two values
+of this one can be compared if `fingerprint` is the same. It is the autoencoder of Yoon et al. 2020,
+whose bottleneck gives the features.
 """
 
 from __future__ import annotations
@@ -17,72 +17,16 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors.torch import load_file
-from torch import Tensor, nn
 
 from audio_features.atomic import write_tensors, write_text
 from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.metrics.frechet.autoencoder import (
+    PoseAutoencoder,
+    reconstruction_loss,
+)
 from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.evaluation.metrics.frechet.published import SkeletonEncoder, pose_autoencoder
 from gesturekit.motion import Motion
-
-N_FEATURES = 32
-
-
-class PoseAutoencoder(nn.Module):
-    """Temporal convolutions with a bottleneck of 32 features (Yoon et al. 2020, `embedding_net`).
-
-    The released network has `LeakyReLU(True)` between its linear layers: a slope of 1, which is the
-    identity. These activations are left out here. GENEA's variant lacks the last linear layer of
-    the encoder (`fc_mu`) and takes windows of other lengths than 34 frames.
-
-    Args:
-        n_inputs: numbers a frame.
-        n_frames: frames of a window, from 12.
-        mean_layer: True to add the last linear layer of Yoon et al.
-    """
-
-    def __init__(self, n_inputs: int, n_frames: int, mean_layer: bool) -> None:
-        super().__init__()
-        n_left = (n_frames - 4 - 4) // 2 + 1 - 2
-        self.encoder = nn.Sequential(
-            *_block(nn.Conv1d(n_inputs, 32, 3)),
-            *_block(nn.Conv1d(32, 64, 3)),
-            *_block(nn.Conv1d(64, 64, 4, stride=2)),
-            nn.Conv1d(64, 32, 3),
-            nn.Flatten(),
-            nn.Linear(32 * n_left, 256),
-            nn.BatchNorm1d(256),
-            nn.Linear(256, 128),
-            nn.BatchNorm1d(128),
-            nn.Linear(128, N_FEATURES),
-            *([nn.Linear(N_FEATURES, N_FEATURES)] if mean_layer else []),
-        )
-        self.decoder = nn.Sequential(
-            nn.Linear(N_FEATURES, 64),
-            nn.BatchNorm1d(64),
-            nn.Linear(64, 4 * n_frames),
-            nn.Unflatten(1, (4, n_frames)),
-            *_block(nn.ConvTranspose1d(4, 32, 3)),
-            *_block(nn.ConvTranspose1d(32, 32, 3)),
-            nn.Conv1d(32, 32, 3),
-            nn.Conv1d(32, n_inputs, 3),
-        )
-
-    def forward(self, windows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return features (B, 32) and the reconstruction of windows (B, n_frames, n_inputs)."""
-        features = self.encoder(windows.transpose(1, 2))
-        return features, self.decoder(features).transpose(1, 2)
-
-
-def reconstruction_loss(made: Tensor, windows: Tensor) -> Tensor:
-    """Return L1 plus L1 of frame differences of (B, T, D): means over a window, summed over B."""
-    error = (made - windows).abs().mean(dim=(1, 2))
-    steps = (torch.diff(made, dim=1) - torch.diff(windows, dim=1)).abs().mean(dim=(1, 2))
-    return (error + steps).sum()
-
-
-def _block(convolution: nn.Conv1d | nn.ConvTranspose1d) -> tuple[nn.Module, ...]:
-    return convolution, nn.BatchNorm1d(convolution.out_channels), nn.LeakyReLU(0.2)
-
 
 log = logging.getLogger(__name__)
 
@@ -155,7 +99,6 @@ class FeatureModel:
             raise EvaluationError(f"steps is {steps!r}; expected a number from 1")
         windows = PoseWindows.fit(motions, variant, n_frames=n_frames, joints=joints)
         frames, starts = _training_windows(windows, motions)
-        seconds = sum(motion.duration for motion in motions)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             network = PoseAutoencoder(windows.n_features, windows.n_frames, variant == "yoon")
@@ -171,16 +114,49 @@ class FeatureModel:
             optimiser.step()
             if progress is not None:
                 progress(step, loss.item() / size)
-        model = cls(windows, network, {})
-        model.training = {
-            "seed": seed,
-            "steps": steps,
+        record = {"seed": seed, "steps": steps, "windows": len(starts)}
+        return cls(windows, network, record)._described(motions)
+
+    @classmethod
+    def of_weights(
+        cls,
+        motions: Sequence[Motion],
+        weights: str | Path,
+        *,
+        joints: str | Sequence[str] | None = None,
+    ) -> FeatureModel:
+        """Take the published weights of GENEA's or Yoon's autoencoder instead of training.
+
+        Poses are normalised by the reference set: the files do not hold the mean and scale of their
+        own rig. Values are comparable with one another, not with those of papers.
+
+        Args:
+            motions: the reference set, of one rig.
+            weights: safetensors file or torch state dict; see `published.pose_autoencoder`.
+            joints: names of the joints that the weights were trained on, see `PoseWindows.fit`.
+
+        Raises:
+            EvaluationError: weights of another layout, or for another number of joints.
+        """
+        network = pose_autoencoder(Path(weights))
+        variant = "yoon" if network.mean_layer else "genea"
+        windows = PoseWindows.fit(motions, variant, n_frames=network.n_frames, joints=joints)
+        if windows.n_features != network.n_inputs:
+            raise EvaluationError(
+                f"{weights}: takes {network.n_inputs / 3:g} joints, and {len(windows.bones)} are "
+                "chosen of the recordings: name those of the weights (joints)"
+            )
+        n = sum(len(clip) for clip in windows.cut(motions))
+        return cls(windows, network, {"weights": str(weights), "windows": n})._described(motions)
+
+    def _described(self, motions: Sequence[Motion]) -> FeatureModel:
+        """Add the reference set to the record of the training."""
+        self.training |= {
             "motions": len(motions),
-            "seconds": round(seconds, 3),
-            "windows": len(starts),
-            "unexplained": round(model._unexplained(motions), 4),
+            "seconds": round(sum(motion.duration for motion in motions), 3),
+            "unexplained": round(self._unexplained(motions), 4),
         }
-        return model
+        return self
 
     @torch.no_grad()
     def encode(self, motions: Sequence[Motion]) -> list[np.ndarray]:
@@ -334,3 +310,25 @@ def _read_json(path: Path) -> dict[str, Any]:
             "A newer format needs a newer gesturekit"
         )
     return values
+
+
+Extractor = FeatureModel | SkeletonEncoder
+"""Feature extractors of the Fréchet gesture distance."""
+
+
+def load_extractor(path: str | Path) -> Extractor:
+    """Read a feature extractor for `fgd`.
+
+    Args:
+        path: the folder of a `FeatureModel`, or the weight file of BEAT2's extractor.
+
+    Raises:
+        EvaluationError: it cannot be read, or is neither.
+
+    Examples:
+        >>> FeatureModel.fit([gk.load("demo").generate(seconds=5)], steps=1).save(folder / "own")
+        >>> load_extractor(folder / "own").windows.n_frames
+        60
+    """
+    path = Path(path)
+    return SkeletonEncoder.load(path) if path.is_file() else FeatureModel.load(path)

@@ -28,7 +28,7 @@ from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import FeatureModel
+    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 SAMPLES_PER_DIMENSION = 10
 _RESAMPLED_DIMENSIONS = 128
@@ -162,7 +162,7 @@ def frechet_result(
 def fgd(
     generated: Sequence[Motion],
     reference: Sequence[Motion],
-    model: FeatureModel,
+    model: Extractor,
     *,
     resamples: int = 100,
     seed: int = 0,
@@ -170,9 +170,9 @@ def fgd(
     """Return the Fréchet gesture distance on the features of `model` (`gesturekit fit-features`).
 
     Args:
-        generated: motions with the joints of the model, any frame rate.
+        generated: motions with the joints of the extractor, any frame rate.
         reference: the same for the recordings.
-        model: the autoencoder, fitted on a reference set.
+        model: the autoencoder fitted on a reference set, or BEAT2's (`load_extractor`).
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
