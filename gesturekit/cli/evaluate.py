@@ -219,7 +219,7 @@ def command(
     out: a note lists them.
     """
     from gesturekit.evaluation import read_ratings
-    from gesturekit.evaluation.report.metric_table import WRITERS, summary_line
+    from gesturekit.evaluation.report.text import WRITERS, summary_line
     from gesturekit.evaluation.statistics.agreement import agreement, shared_systems
 
     if options["sanity"]:
@@ -254,7 +254,7 @@ def command(
 
 def _earlier(path: Path | None) -> dict[str, Any] | None:
     """Return the results to compare with, if any."""
-    from gesturekit.evaluation.report.differences import read_results
+    from gesturekit.evaluation.results import read_results
 
     return None if path is None else read_results(path)
 
@@ -270,9 +270,12 @@ def _mark_trained(found: Evaluation, names: Sequence[str]) -> None:
 
 def _print(found: Evaluation, written: Sequence[Path], before: Mapping[str, Any] | None) -> None:
     """Print verdicts, table, differences and the written files, and notes to standard error."""
-    from gesturekit.evaluation.report.agreement_table import agreement_lines
-    from gesturekit.evaluation.report.differences import differences
-    from gesturekit.evaluation.report.metric_table import note_lines, terminal_lines
+    from gesturekit.evaluation.report.text import (
+        agreement_lines,
+        differences,
+        note_lines,
+        terminal_lines,
+    )
 
     for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
         click.echo(line)
@@ -292,12 +295,13 @@ def _write(
     **page: str | None,
 ) -> list[Path]:
     """Write the requested files and return them; `page` are keywords of `write_report`."""
+    from audio_features.atomic import write_text
     from gesturekit.evaluation import write_report
-    from gesturekit.evaluation.report.metric_table import write_table
+    from gesturekit.evaluation.report.text import WRITERS
 
     for form, path in tables.items():
         if path is not None:
-            write_table(found, path, form)
+            write_text(path, WRITERS[form](found))
     if json_out is not None:
         found.write_json(json_out)
     if out is not None:
@@ -383,9 +387,8 @@ def _sanity(
     if surplus:
         raise click.UsageError("--sanity takes only a folder of recordings, and --audio")
     _refuse_unused(click.get_current_context())
-    from gesturekit.evaluation.report.bad_motion import run_sanity
-    from gesturekit.evaluation.report.headline import headline_lines
-    from gesturekit.evaluation.report.sanity_table import conclusion, table_lines
+    from gesturekit.evaluation.report.sanity import conclusion, run_sanity, table_lines
+    from gesturekit.evaluation.report.text import headline_lines
 
     found = run_sanity(
         Path(str(recordings)),

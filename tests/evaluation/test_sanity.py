@@ -10,8 +10,15 @@ import soundfile
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult
-from gesturekit.evaluation.report.bad_motion import BAD_MOTION, BadMotionInputs, run_sanity
-from gesturekit.evaluation.report.sanity_table import conclusion, mark, noticed_by, table_lines
+from gesturekit.evaluation.report.sanity import (
+    BAD_MOTION,
+    BadMotionInputs,
+    conclusion,
+    mark,
+    noticed_by,
+    run_sanity,
+    table_lines,
+)
 from gesturekit.motion import Motion, Skeleton
 
 ALL = set(BAD_MOTION)

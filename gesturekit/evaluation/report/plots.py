@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from typing import Any
 
+import matplotlib
 import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.lines import Line2D
 
 from gesturekit.evaluation.definitions import (
@@ -16,7 +19,6 @@ from gesturekit.evaluation.definitions import (
     definitions_of,
     shown_in,
 )
-from gesturekit.evaluation.report.svg import new_figure, svg_text
 from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 
 MODEL_COLOURS = (
@@ -26,6 +28,7 @@ MODEL_COLOURS = (
 RECORDING = "#26303b"
 CHANCE = "#aab4be"
 _SOFT, _LINE = "#6b7785", "#d5dae0"
+WIDTH = 10.4  # inches; a page shows it 1040 pixels wide
 
 _DASHED: dict[str, Any] = {"color": RECORDING, "lw": 1.4, "ls": "--"}
 _OF_CHANCE: dict[str, Any] = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
@@ -249,3 +252,34 @@ def _title(axes: Axes, text: str) -> None:
 
 def _short(name: str, most: int = 26) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}…"
+
+
+def new_figure(height: float) -> matplotlib.figure.Figure:
+    """Return an empty figure of the page's width and `height` inches."""
+    figure = matplotlib.figure.Figure(figsize=(WIDTH, height), layout="constrained")
+    FigureCanvasSVG(figure)
+    return figure
+
+
+def svg_text(figure: matplotlib.figure.Figure, line: str, label: str) -> str:
+    """Return a figure as SVG.
+
+    Args:
+        figure: its tick labels are shown as they are, without mathematics.
+        line: colour of axes.
+        label: colour of ticks and labels of axes.
+    """
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.spines[["left", "bottom"]].set_color(line)
+        axes.tick_params(colors=label, labelsize=9, length=3)
+        axes.xaxis.label.set(color=label, size=9.5)
+        axes.yaxis.label.set(color=label, size=9.5)
+        for text in (*axes.get_xticklabels(), *axes.get_yticklabels()):
+            text.set_parse_math(False)
+        axes.set_axisbelow(True)
+    made = io.StringIO()
+    # A fixed salt and no date: the same figures give the same bytes.
+    with matplotlib.rc_context({"svg.hashsalt": "gesturekit", "svg.fonttype": "path"}):
+        figure.savefig(made, format="svg", transparent=True, metadata={"Date": None})
+    return made.getvalue()
