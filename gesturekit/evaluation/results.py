@@ -388,10 +388,13 @@ class Evaluation:
             "agreement": self.agreement and asdict(self.agreement),
         }
 
+    def json_text(self) -> str:
+        """Return `to_json` as text."""
+        return json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
     def write_json(self, path: str | os.PathLike[str]) -> None:
         """Write `to_json` to a file."""
-        text = json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        write_text(path, text + "\n")
+        write_text(path, self.json_text())
 
 
 def _model(model: ModelResult) -> dict[str, Any]:

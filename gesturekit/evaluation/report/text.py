@@ -278,12 +278,18 @@ def csv_text(evaluation: Evaluation) -> str:
     return text.getvalue()
 
 
+def report_lines(evaluation: Evaluation) -> list[str]:
+    """Return the verdicts and all tables for a terminal."""
+    return [*evaluation.verdicts(), *terminal_lines(evaluation), *agreement_lines(evaluation)]
+
+
 WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
+    "json": Evaluation.json_text,
     "csv": csv_text,
     "markdown": markdown,
     "latex": latex,
 }
-"""Functions that return the table as text, by name of the form."""
+"""Functions that return all results (json), or the table, as text, by name of the form."""
 
 
 def _caption(evaluation: Evaluation) -> str:
