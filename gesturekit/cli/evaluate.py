@@ -217,9 +217,7 @@ def command(
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
     if ratings is not None:
         shared_systems([*folders, *baselines], ratings)  # before hours of measuring
-    with resumable(lambda: "What is measured is cached: the same command continues."):
-        found = _evaluated(folders, recordings, options)
-    found.settings["baselines"] = baselines  # as given, all of them
+    found = _evaluated(folders, recordings, options)
     if ratings is not None:
         found.agreement = agreement(found.models, ratings, options["seed"])
     _mark_trained(found, names)
@@ -305,15 +303,18 @@ def _evaluated(
     from gesturekit.evaluation import FeatureModel, evaluate
 
     features, baselines = options["features"], comma_separated(options["baseline"])
-    return evaluate(
-        folders,
-        recordings,
-        **{name: options[name] for name in ("audio", "semantic", "take_pattern")},
-        protocol=options["protocol"] or "",
-        baselines=[name for name in baselines if name not in folders],
-        features=None if features is None else FeatureModel.load(features),
-        **_measuring(options, "recording"),
-    )
+    with resumable(lambda: "What is measured is cached: the same command continues."):
+        found = evaluate(
+            folders,
+            recordings,
+            **{name: options[name] for name in ("audio", "semantic", "take_pattern")},
+            protocol=options["protocol"] or "",
+            baselines=[name for name in baselines if name not in folders],
+            features=None if features is None else FeatureModel.load(features),
+            **_measuring(options, "recording"),
+        )
+    found.settings["baselines"] = baselines  # as given, all of them
+    return found
 
 
 def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
