@@ -198,12 +198,7 @@ def command(
         ctx.exit(_sanity(ctx, (generated, reference, *surplus, *compare), options))
     _refuse_surplus(reference, surplus, options["corpus"])
     from gesturekit.evaluation import read_ratings
-    from gesturekit.evaluation.report.text import (
-        differences,
-        note_lines,
-        report_lines,
-        summary_line,
-    )
+    from gesturekit.evaluation.report import text
     from gesturekit.evaluation.results import read_results
     from gesturekit.evaluation.statistics.agreement import agreement, shared_systems
 
@@ -224,11 +219,11 @@ def command(
     # First: the reader of a pipe, such as head, may leave before everything is printed.
     line = shlex.join(["gesturekit", *sys.argv[1:]])
     _write(found, files, command=line, body=options["body"])
-    _echo(report_lines(found))
-    _echo(note_lines(found), err=True)
-    _echo(() if before is None else differences(found, before))
+    _echo(text.report_lines(found))
+    _echo(text.note_lines(found), err=True)
+    _echo(() if before is None else text.differences(found, before))
     _echo(f"written  {path}" for path in files.values())
-    click.echo(summary_line(found, files.get("html") or files.get("json")))
+    click.echo(text.summary_line(found, files.get("html") or files.get("json")))
     ctx.exit(0 if found.is_complete else 1)
 
 
