@@ -352,10 +352,11 @@ def _sanity(ctx: click.Context, names: Sequence[object], options: Mapping[str, A
     from gesturekit.evaluation.report.text import headline_lines
 
     files = _files(options)
-    found = run_sanity(Path(str(recordings)), options["audio"], **_measuring(options, "task"))
+    measuring = _measuring(options, "task")
+    found, left_out = run_sanity(Path(str(recordings)), options["audio"], **measuring)
     # First: the reader of a pipe may leave before everything is printed.
-    _write(found.evaluation, files, title=f"Known-bad motion made from {recordings}")
-    _echo((*headline_lines(found.evaluation), "", *table_lines(found), conclusion(found)))
-    _echo((f"Left out: {name}: {reason}" for name, reason in found.left_out.items()), err=True)
+    _write(found, files, title=f"Known-bad motion made from {recordings}")
+    _echo((*headline_lines(found), "", *table_lines(found), conclusion(found)))
+    _echo((f"Left out: {name}: {reason}" for name, reason in left_out.items()), err=True)
     _echo(f"written  {path}" for path in files.values())
-    return 1 if found.left_out else 0
+    return 1 if left_out else 0

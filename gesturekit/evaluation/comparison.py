@@ -176,10 +176,7 @@ def evaluate(
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
-    reference = _recordings(reference, chosen.split)
-    split = reference.split or None if isinstance(reference, Items) else None
-    if isinstance(reference, Items) and split and chosen.audio is not None:
-        raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
+    reference, split = _recordings(reference, chosen)
     pairs = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(pairs.values())))
     pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
@@ -269,20 +266,26 @@ def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemIn
     return every
 
 
-def _recordings(reference: str | Path | Items, split: str | None) -> Path | Items:
-    """Return the recordings of a path, of a manifest as `Items`.
+def _recordings(
+    reference: str | Path | Items, options: EvaluationOptions
+) -> tuple[Path | Items, str | None]:
+    """Return the recordings of a path, of a manifest as `Items`, and their split.
 
     Raises:
         CorpusError: the manifest cannot be read, or has no item of the split.
-        EvaluationError: a split is given without a manifest.
+        EvaluationError: a split is given without a manifest, or sound beside one.
     """
+    if not isinstance(reference, Items) and Path(reference).suffix.lower() == ".jsonl":
+        reference = Items.of_manifest(Path(reference), options.split or "test")
+    elif options.split is not None:
+        raise EvaluationError(
+            f"split={options.split!r} chooses items of a manifest (.jsonl): {reference}"
+        )
     if not isinstance(reference, Items):
-        reference = Path(reference)
-        if reference.suffix.lower() == ".jsonl":
-            return Items.of_manifest(reference, split or "test")
-    if split is not None:
-        raise EvaluationError(f"split={split!r} chooses items of a manifest (.jsonl): {reference}")
-    return reference
+        return Path(reference), None
+    if reference.split and options.audio is not None:
+        raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
+    return reference, reference.split or None
 
 
 def _frame_rate(pairs: Pairs) -> float:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from audio_features import AudioFeaturesError
+from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.comparison import evaluate
@@ -33,135 +33,6 @@ NOISE, JITTER = 0.3, 0.05
 """Standard deviations of the rotations of every joint in every frame, rad."""
 SWAY, SWAY_RATE = 0.2, 0.4
 """Amplitude of the foot slide on the reference body, metres, and its frequency, Hz."""
-
-
-@dataclass(frozen=True)
-class BadMotionInputs:
-    """Recordings from which bad motion is made.
-
-    Attributes:
-        recording: the recording that a clip is evaluated with.
-        other: another held-out recording.
-        training: motion of the training set.
-        seed: of noise.
-    """
-
-    recording: Motion
-    other: Motion
-    training: Motion
-    seed: int
-
-
-def frozen(inputs: BadMotionInputs) -> Motion:
-    """Hold the pose in the middle of the recording."""
-    motion = inputs.recording
-    return _frames(motion, np.full(motion.n_frames, motion.n_frames // 2))
-
-
-def mean_pose(inputs: BadMotionInputs) -> Motion:
-    """Hold the mean pose of the recording."""
-    motion = inputs.recording
-    held = frozen(inputs)
-    return replace(
-        held,
-        rotations=np.tile(_mean_rotations(motion), (motion.n_frames, 1, 1)),
-        translation=np.tile(motion.translation.mean(axis=0), (motion.n_frames, 1)),
-    )
-
-
-def noise(inputs: BadMotionInputs) -> Motion:
-    """Turn every joint of the mean pose at random in every frame."""
-    return _shaken(mean_pose(inputs), NOISE, inputs.seed)
-
-
-def jitter(inputs: BadMotionInputs) -> Motion:
-    """Add noise to the rotations of the recording."""
-    return _shaken(inputs.recording, JITTER, inputs.seed)
-
-
-def another_utterance(inputs: BadMotionInputs) -> Motion:
-    """Take the motion of another held-out recording."""
-    return _cut(inputs.other, inputs.recording)
-
-
-def backwards(inputs: BadMotionInputs) -> Motion:
-    """Play the recording backwards."""
-    motion = inputs.recording
-    return _frames(motion, np.arange(motion.n_frames)[::-1])
-
-
-def half_speed(inputs: BadMotionInputs) -> Motion:
-    """Play the first half of the recording at half the speed."""
-    motion = inputs.recording
-    slow = replace(motion.resample(2.0 * motion.fps), fps=motion.fps)
-    return _cut(slow, motion)
-
-
-def half_reach(inputs: BadMotionInputs) -> Motion:
-    """Halve the rotations of the arms about their mean."""
-    motion = inputs.recording
-    rotations = motion.rotations.copy()
-    arms = [motion.skeleton.index(name) for name in arm_joints(motion.skeleton)]
-    mean = np.broadcast_to(_mean_rotations(motion)[arms], rotations[:, arms].shape)
-    rotations[:, arms] = slerp(mean, rotations[:, arms], np.full(mean.shape[:-1], 0.5))
-    return replace(motion, rotations=rotations)
-
-
-def foot_slide(inputs: BadMotionInputs) -> Motion:
-    """Sway the whole body sideways, so that the feet slide."""
-    motion = inputs.recording
-    sway = SWAY * body_scale(motion.skeleton) * np.sin(2 * np.pi * SWAY_RATE * motion.times)
-    return replace(motion, translation=motion.translation + sway[:, None] * (1.0, 0.0, 0.0))
-
-
-def training_recording(inputs: BadMotionInputs) -> Motion:
-    """Take motion of the training set."""
-    return _cut(inputs.training, inputs.recording)
-
-
-BAD_MOTION: Mapping[str, Callable[[BadMotionInputs], Motion]] = {
-    "frozen": frozen,
-    "mean pose": mean_pose,
-    "noise": noise,
-    "jitter": jitter,
-    "another utterance": another_utterance,
-    "reversed": backwards,
-    "half speed": half_speed,
-    "half reach": half_reach,
-    "foot slide": foot_slide,
-    "training recording": training_recording,
-}
-"""Functions that make bad motion, by name."""
-
-
-def _frames(motion: Motion, frames: Sequence[int] | np.ndarray) -> Motion:
-    """Return chosen frames of a motion, in that order."""
-    return replace(
-        motion,
-        rotations=motion.rotations[frames],
-        translation=motion.translation[frames],
-        joint_translations={name: v[frames] for name, v in motion.joint_translations.items()},
-    )
-
-
-def _cut(motion: Motion, length: Motion) -> Motion:
-    return motion[: length.n_frames]
-
-
-def _mean_rotations(motion: Motion) -> np.ndarray:
-    """Return (J, 4) mean quaternions."""
-    return np.stack(
-        [mean_quaternion(motion.rotations[:, j]) for j in range(motion.skeleton.n_joints)]
-    )
-
-
-def _shaken(motion: Motion, deviation: float, seed: int) -> Motion:
-    rng = np.random.default_rng(seed)
-    vectors = rng.normal(0.0, deviation, (*motion.rotations.shape[:2], 3))
-    shaken = multiply_quaternions(motion.rotations, quaternion_from_rotation_vector(vectors))
-    return replace(motion, rotations=shaken)
-
-
 RECORDING = "recording"
 """Name of the recordings themselves among the models."""
 PIECE = 8.0
@@ -172,20 +43,65 @@ LONGEST, TOTAL = 60.0, 120.0
 """Seconds used of one recording, and of all held-out recordings together, at most."""
 
 
-@dataclass
-class Sanity:
-    """Result of `run_sanity`.
+def bad_motion(recording: Motion, other: Motion, training: Motion, seed: int) -> dict[str, Motion]:
+    """Return {name: known-bad motion} made from recordings.
 
-    Attributes:
-        evaluation: the recordings and the bad motions as models.
-        left_out: {file: reason} of recordings that were not used.
+    Args:
+        recording: the recording that a clip is evaluated with.
+        other: another held-out recording.
+        training: motion of the training set.
+        seed: of noise.
     """
+    n, turns = recording.n_frames, recording.rotations
+    mean = np.stack([mean_quaternion(turns[:, j]) for j in range(turns.shape[1])])
+    frozen = _frames(recording, np.full(n, n // 2))
+    mean_pose = replace(
+        frozen,
+        rotations=np.tile(mean, (n, 1, 1)),
+        translation=np.tile(recording.translation.mean(axis=0), (n, 1)),
+    )
+    slow = replace(recording.resample(2.0 * recording.fps), fps=recording.fps)
+    arms = [recording.skeleton.index(name) for name in arm_joints(recording.skeleton)]
+    halved = turns.copy()
+    middle = np.broadcast_to(mean[arms], halved[:, arms].shape)
+    halved[:, arms] = slerp(middle, halved[:, arms], np.full(middle.shape[:-1], 0.5))
+    sway = SWAY * body_scale(recording.skeleton) * np.sin(2 * np.pi * SWAY_RATE * recording.times)
+    slid = recording.translation + sway[:, None] * (1.0, 0.0, 0.0)
+    return {
+        "frozen": frozen,
+        "mean pose": mean_pose,
+        "noise": _shaken(mean_pose, NOISE, seed),
+        "jitter": _shaken(recording, JITTER, seed),
+        "another utterance": other[:n],
+        "reversed": _frames(recording, np.arange(n)[::-1]),
+        "half speed": slow[:n],
+        "half reach": replace(recording, rotations=halved),
+        "foot slide": replace(recording, translation=slid),
+        "training recording": training[:n],
+    }
 
-    evaluation: Evaluation
-    left_out: dict[str, str] = field(default_factory=dict)
+
+def _frames(motion: Motion, frames: np.ndarray) -> Motion:
+    """Return chosen frames of a motion, in that order."""
+    return replace(
+        motion,
+        rotations=motion.rotations[frames],
+        translation=motion.translation[frames],
+        joint_translations={name: v[frames] for name, v in motion.joint_translations.items()},
+    )
 
 
-def run_sanity(recordings: Path, audio: Path | None = None, **options: Any) -> Sanity:
+def _shaken(motion: Motion, deviation: float, seed: int) -> Motion:
+    """Return a motion with every joint turned at random in every frame."""
+    rng = np.random.default_rng(seed)
+    vectors = rng.normal(0.0, deviation, (*motion.rotations.shape[:2], 3))
+    shaken = multiply_quaternions(motion.rotations, quaternion_from_rotation_vector(vectors))
+    return replace(motion, rotations=shaken)
+
+
+def run_sanity(
+    recordings: Path, audio: Path | None = None, **options: Any
+) -> tuple[Evaluation, dict[str, str]]:
     """Evaluate known-bad motion made from recordings.
 
     Half of the recordings are held out, and bad motion is made from them; the others stand for
@@ -197,41 +113,46 @@ def run_sanity(recordings: Path, audio: Path | None = None, **options: Any) -> S
         audio: folder or file of sound; None for sound beside the motion, if there is any.
         options: of `evaluate`, such as `seed`, `workers` and `progress`.
 
+    Returns:
+        the evaluation of the recordings and of bad motion as models, and {file: reason} of
+        recordings that were not used.
+
     Raises:
         CorpusError: no motion.
         EvaluationError: no recording is long enough.
     """
     sounds = _sounds(recordings, audio)
-    result: dict[str, str] = {}
+    left_out: dict[str, str] = {}
     items = []
     for key, path in motion_files(recordings).items():
         try:
-            items.append(_item(key, path, file_of(key, sounds, audio), Motion.load(path)))
+            items.append(_item(key, path, file_of(key, sounds, audio)))
         except (GestureKitError, AudioFeaturesError) as error:
-            result[key] = str(error)
+            left_out[key] = str(error)
     if not items:
-        reasons = "; ".join(f"{key}: {reason}" for key, reason in list(result.items())[:2])
+        reasons = "; ".join(f"{key}: {reason}" for key, reason in list(left_out.items())[:2])
         raise EvaluationError(f"{recordings}: no recording can be used: {reasons}")
     held_out, training = _split(items)
     with tempfile.TemporaryDirectory(prefix="gesturekit_sanity_") as folder:
         root = Path(folder)
         Manifest([*held_out, *training]).save(root / "corpus.jsonl")
         models = _write(root, held_out, training, options.get("seed", 0))
-        found = evaluate(models, root / "corpus.jsonl", split="test", **options)
-    return Sanity(replace(found, reference=recordings), result)
+        evaluation = evaluate(models, root / "corpus.jsonl", split="test", **options)
+    return replace(evaluation, reference=recordings), left_out
 
 
 def _sounds(recordings: Path, audio: Path | None) -> Mapping[str, Path]:
-    if audio is not None:
-        return files_by_key(audio, SPEECH_SUFFIXES, "sound")
+    """Return the sounds of recordings by key; those beside the motion may be missing."""
     try:
-        return files_by_key(recordings if recordings.is_dir() else recordings.parent,
-                            SPEECH_SUFFIXES, "sound")  # fmt: skip
+        beside = recordings if recordings.is_dir() else recordings.parent
+        return files_by_key(audio or beside, SPEECH_SUFFIXES, "sound")
     except GestureKitError:
+        if audio is not None:
+            raise
         return {}
 
 
-def _item(key: str, path: Path, sound: Path | None, motion: Motion) -> Item:
+def _item(key: str, path: Path, sound: Path | None) -> Item:
     """Return the item of one recording, cut to the length of its sound.
 
     Raises:
@@ -239,8 +160,7 @@ def _item(key: str, path: Path, sound: Path | None, motion: Motion) -> Item:
         MotionError: arms and legs, which most bad motion needs, cannot be identified.
         AudioError: the sound cannot be read.
     """
-    from audio_features import Wave
-
+    motion = Motion.load(path)
     find_parts(motion.skeleton)
     seconds = min(LONGEST, motion.duration)
     if sound is not None:
@@ -252,28 +172,25 @@ def _item(key: str, path: Path, sound: Path | None, motion: Motion) -> Item:
 
 def _split(items: Sequence[Item]) -> tuple[list[Item], list[Item]]:
     """Return held-out items and training items."""
-    if len(items) == 1:
-        (whole,) = items
-        half = whole.duration / 2
-        held_out, training = [_part(whole, half, half, "end")], [_part(whole, 0.0, half, "start")]
-    else:
-        held_out, training = list(items[::2]), list(items[1::2])
+    held_out, training = list(items[::2]), list(items[1::2])
+    if not training:
+        training, held_out = [_cut(items[0], 2, 0, "start")], [_cut(items[0], 2, 1, "end")]
     if len(held_out) == 1:
-        (one,) = held_out
-        pieces = max(1, int(one.duration // PIECE))
-        seconds = one.duration / pieces
-        held_out = [_part(one, n * seconds, seconds, f"{n + 1}") for n in range(pieces)]
+        pieces = max(1, int(held_out[0].duration // PIECE))
+        held_out = [_cut(held_out[0], pieces, n, f"{n + 1}") for n in range(pieces)]
     share = min(1.0, TOTAL / sum(item.duration for item in held_out))
     held_out = [replace(i, duration=max(SHORTEST, share * i.duration)) for i in held_out]
     return [replace(item, split="test") for item in held_out], training
 
 
-def _part(item: Item, start: float, seconds: float, name: str) -> Item:
+def _cut(item: Item, pieces: int, at: int, name: str) -> Item:
+    """Return one of several equal pieces of an item."""
+    seconds = item.duration / pieces
     return replace(
         item,
         id=f"{item.id}_{name}",
-        audio_start=item.audio_start + start,
-        motion_start=item.motion_start + start,
+        audio_start=item.audio_start + at * seconds,
+        motion_start=item.motion_start + at * seconds,
         duration=seconds,
     )
 
@@ -284,15 +201,14 @@ def _write(
     """Write the recordings and the bad motions; return {name: folder}."""
     motions = [item.load_motion() for item in held_out]
     trained = [item.load_motion() for item in training]
-    models = {RECORDING: root / RECORDING}
-    models |= {name: root / name.replace(" ", "_") for name in BAD_MOTION}
+    folders = {}
     for n, (item, motion) in enumerate(zip(held_out, motions, strict=True)):
         other = motions[(n + 1) % len(motions)]
-        inputs = BadMotionInputs(motion, other, trained[n % len(trained)], seed + n)
-        for name, folder in models.items():
-            made = motion if name == RECORDING else BAD_MOTION[name](inputs)
-            made.save(folder / f"{item.id}.npz")
-    return models
+        made = bad_motion(motion, other, trained[n % len(trained)], seed + n)
+        for name, shown in {RECORDING: motion, **made}.items():
+            folders[name] = root / name.replace(" ", "_")
+            shown.save(folders[name] / f"{item.id}.npz")
+    return folders
 
 
 NOTICED, BLIND, FOOLED, SILENT = "+", ".", "!", " "
@@ -310,9 +226,8 @@ UNLIKE, NEAR = 0.05, 0.8
 """Loss of likeness, and ratio of distances to training motion, that count as detection."""
 
 
-def marks(sanity: Sanity) -> dict[str, dict[str, str]]:
+def marks(evaluation: Evaluation) -> dict[str, dict[str, str]]:
     """Return {key of `definitions`: {bad motion: mark}}."""
-    evaluation = sanity.evaluation
     recording, *bad = evaluation.models
     return {
         d.key: {m.label: mark(d, m.metrics.get(d.key), recording) for m in bad}
@@ -359,47 +274,42 @@ def _notices(definition: Definition, result: MetricResult, own: MetricResult) ->
     return key not in ("calm_lively_slope",) and abs(value - goal) > CHANGE * abs(goal) + 1e-9
 
 
-def table_lines(sanity: Sanity) -> Iterator[str]:
+def table_lines(evaluation: Evaluation) -> Iterator[str]:
     """Yield the table for a terminal: one row a metric, one numbered column a bad motion."""
-    evaluation = sanity.evaluation
-    names = [model.label for model in evaluation.models if model.label != RECORDING]
-    found = marks(sanity)
+    by_key, definitions = marks(evaluation), evaluation.definitions()
+    names = [model.label for model in evaluation.models[1:]]
     yield "What each metric notices of known-bad motion"
     yield from (f"  {n}  {name}" for n, name in enumerate(names, 1))
-    width = max(len(d.name) for d in evaluation.definitions())
+    width = max(len(d.name) for d in definitions)
     yield f"{'':{width}}  {' '.join(f'{n:>2}' for n in range(1, len(names) + 1))}"
-    group = ""
-    for d in evaluation.definitions():
-        if d.group != group:
-            group = d.group
-            yield f"{group}:"
-        signs = " ".join(f"{found[d.key][name]:>2}" for name in names)
+    for before, d in zip([None, *definitions], definitions):
+        if before is None or d.group != before.group:
+            yield f"{d.group}:"
+        signs = " ".join(f"{by_key[d.key][name]:>2}" for name in names)
         yield f"{d.name:{width}}  {signs}".rstrip()
     yield LEGEND
 
 
-def noticed_by(sanity: Sanity) -> dict[str, list[str]]:
+def noticed_by(evaluation: Evaluation) -> dict[str, list[str]]:
     """Return {bad motion: keys of the headline metrics that notice it}."""
-    found = marks(sanity)
-    keys = [d.key for d in sanity.evaluation.definitions() if d.group == HEADLINE]
+    by_key = marks(evaluation)
+    keys = [d.key for d in evaluation.definitions() if d.group == HEADLINE]
     return {
-        model.label: [key for key in keys if found[key][model.label] == NOTICED]
-        for model in sanity.evaluation.models
-        if model.label != RECORDING
+        model.label: [key for key in keys if by_key[key][model.label] == NOTICED]
+        for model in evaluation.models[1:]
     }
 
 
-def conclusion(sanity: Sanity) -> str:
+def conclusion(evaluation: Evaluation) -> str:
     """Return what the three headline metrics notice together, in one sentence."""
-    found = noticed_by(sanity)
-    missed = [name for name, keys in found.items() if not keys]
-    timed = sanity.evaluation.models[0].metrics.get("in_time")
-    why = "" if timed is not None and timed.informative else (
-        " (In time with the speech: cannot be answered on this corpus.)"
-    )  # fmt: skip
+    noticed = noticed_by(evaluation)
+    missed = [name for name, keys in noticed.items() if not keys]
+    timed, why = evaluation.models[0].metrics.get("in_time"), ""
+    if timed is None or not timed.informative:
+        why = " (In time with the speech: cannot be answered on this corpus.)"
     if not missed:
-        return f"The three headline figures together notice all {len(found)} bad motions.{why}"
+        return f"The three headline figures together notice all {len(noticed)} bad motions.{why}"
     return (
-        f"The three headline figures together notice {len(found) - len(missed)} of {len(found)} "
-        f"bad motions, but not: {listed(missed, 5)}.{why}"
+        f"The three headline figures together notice {len(noticed) - len(missed)} of "
+        f"{len(noticed)} bad motions, but not: {listed(missed, 5)}.{why}"
     )
