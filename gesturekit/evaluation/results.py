@@ -20,6 +20,8 @@ from gesturekit.evaluation.pairs import Excluded, Pair
 from gesturekit.wording import counted
 
 FORMAT = 1
+NOT_ASKED = "not asked"
+"""State of the answers for a broken motion: its scores say nothing."""
 _MOST_BYTES = 256 << 20
 
 
@@ -250,7 +252,7 @@ class Finding:
     Attributes:
         question: such as "In time with the speech?".
         key: key of `definitions` of its metric.
-        state: "yes", "partly", "no", "cannot be answered" or "not measured".
+        state: "yes", "partly", "no", "cannot be answered", "not measured" or "not asked".
         sentence: the answer in words.
     """
 

@@ -36,6 +36,7 @@ from gesturekit.evaluation.report import rows
 from gesturekit.evaluation.report.plots import RECORDING, all_plots, colour
 from gesturekit.evaluation.report.text import agreement_lines
 from gesturekit.evaluation.results import (
+    NOT_ASKED,
     ClipResult,
     Evaluation,
     Interval,
@@ -226,25 +227,30 @@ class ScoreLine:
 
 
 class Question(NamedTuple):
-    """A column of the three questions: its heading, the models' scores, their line and the best."""
+    """A column of the three questions: its heading, {label: score}, their line and the best."""
 
     text: str
-    results: list[MetricResult]
+    results: dict[str, MetricResult]
     line: ScoreLine
     has_intervals: bool
     best: int | None
 
 
 def _questions(models: Sequence[ModelResult], headline: Sequence[rows.Row]) -> list[Question]:
-    """Return the questions that head the page; none without answers."""
+    """Return the questions that head the page; none without answers.
+
+    A broken motion has no scores there, and does not stretch the lines of the others.
+    """
     best = {row.definition.key: row.best for row in headline}
     answered = [model for model in models if model.answers]
     questions = []
-    for answer in answered[0].answers if answered else ():
-        results = [m.metrics[answer.key] for m in answered if answer.key in m.metrics]
-        bare = all(result.interval.low is None for result in results)
-        line = ScoreLine.of(results)
-        questions.append(Question(answer.question, results, line, not bare, best.get(answer.key)))
+    for answers in zip(*(model.answers for model in answered), strict=True):
+        key, states = answers[0].key, [answer.state for answer in answers]
+        asked = [m for m, state in zip(answered, states) if state != NOT_ASKED and key in m.metrics]
+        results = {model.label: model.metrics[key] for model in asked}
+        bare = all(result.interval.low is None for result in results.values())
+        line = ScoreLine.of([*results.values()])
+        questions.append(Question(answers[0].question, results, line, not bare, best.get(key)))
     return questions
 
 

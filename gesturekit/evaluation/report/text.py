@@ -19,6 +19,7 @@ from gesturekit.evaluation.report.rows import (
     spread_in_words,
 )
 from gesturekit.evaluation.results import (
+    NOT_ASKED,
     Evaluation,
     MetricAgreement,
     MetricResult,
@@ -56,7 +57,7 @@ def headline_lines(evaluation: Evaluation) -> list[str]:
     for model in evaluation.models:
         named = f"{model.label}: " if len(evaluation.models) > 1 else ""
         for answer in model.answers:
-            result = model.metrics.get(answer.key)
+            result = None if answer.state == NOT_ASKED else model.metrics.get(answer.key)
             value = _score_in_words(result) if result is not None and result.informative else ""
             lines.append(f"{named}{answer.question} {answer.sentence}{value}")
     return lines
