@@ -6,7 +6,7 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from gesturekit.cli.options import (
     existing_option,
     is_left,
     recording_options,
+    resumable,
     take_option,
     weights_option,
 )
@@ -37,20 +38,19 @@ if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
-
-_USED_BY_SANITY = (
-    "sanity",
-    "audio",
-    "out",
-    "json_out",
-    "variant",
-    "threshold",
-    "bas",
-    "kinetic",
-    "seed",
-    "workers",
-)
+_PATH = click.Path(path_type=Path)
+_FOLDER = click.Path(path_type=Path, file_okay=False)
+_FORMS = ("csv", "markdown", "latex", "json", "html")
+"""Options that name a file to write."""
+_VARIANTS = ("variant", "threshold", "bas", "kinetic")
+_USED_BY_SANITY = ("sanity", "audio", "html", "json", *_VARIANTS, "seed", "workers")
 """Options of `gesturekit evaluate` that --sanity takes."""
+
+
+def _choice(flag: str, *names: str, help: str) -> Callable[..., Any]:
+    """Add an option with one of some values, of which the first is the default."""
+    kind = click.Choice(names)
+    return click.option(flag, type=kind, default=names[0], show_default=True, help=help)
 
 
 @click.command(
@@ -61,7 +61,7 @@ _USED_BY_SANITY = (
     "--compare rendered_without_film --compare other=baseline/rendered",
 )
 @click.argument("generated")
-@click.argument("reference", type=click.Path(path_type=Path), required=False)
+@click.argument("reference", type=_PATH, required=False)
 @click.argument("surplus", nargs=-1, metavar="")
 @click.option(
     "--compare",
@@ -80,7 +80,7 @@ _USED_BY_SANITY = (
 )
 @click.option(
     "--corpus",
-    type=click.Path(path_type=Path),
+    type=_PATH,
     metavar="CORPUS.jsonl",
     help="Compare with the items of a manifest instead of REFERENCE and --audio.",
 )
@@ -89,29 +89,25 @@ _USED_BY_SANITY = (
     type=click.Choice(["train", "valid", "test"]),
     help="Split of --corpus to use.  [default: test; train with --protocol multires]",
 )
-@click.option("--audio", type=click.Path(path_type=Path), help="Sound of the recordings.")
-@click.option(
-    "--semantic",
-    type=click.Path(path_type=Path),
-    help="Semantic tracks for SRGR: feature files (npz) or BEAT's tables (txt).",
-)
+@click.option("--audio", type=_PATH, help="Sound of the recordings.")
+@click.option("--semantic", type=_PATH, help="Semantic tracks for SRGR: npz, or BEAT's tables.")
 @click.option(
     "--features",
-    type=click.Path(path_type=Path),
+    type=_PATH,
     help="Feature extractor for FGD: the folder of gesturekit fit-features, or BEAT2's weight file "
     "(AESKConv_240_100.bin) for motion on the SMPL-X rig.",
 )
 @click.option(
     "--study",
-    type=click.Path(path_type=Path),
+    type=_PATH,
     metavar="CSV",
     help="Results of a user study on these models (a file or a folder): ratings, with the columns "
     "rater, system, clip, question, value, or votes in the format of gesturekit study. Shows how "
     "well each metric agrees with people's ranking of the models.",
 )
 @take_option("Intervals and tests are over takes.")
-@click.option("-o", "--out", type=_FILE, help="Write an HTML report.")
-@click.option("--json", "json_out", type=_FILE, help="Write all results as JSON.")
+@click.option("-o", "--out", "html", type=_FILE, help="Write an HTML report.")
+@click.option("--json", type=_FILE, help="Write all results as JSON.")
 @click.option("--against", type=_FILE, help="Print the differences from an earlier --json file.")
 @click.option("--csv", type=_FILE, help="Write the table of all metrics as CSV.")
 @click.option("--markdown", type=_FILE, help="Write the table in Markdown.")
@@ -133,39 +129,31 @@ _USED_BY_SANITY = (
 )
 @click.option(
     "--samples-dir",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=_FOLDER,
     default=Path("evaluation_samples"),
     show_default=True,
     help="Folder for motion sampled from model folders.",
 )
 @weights_option
-@click.option(
-    "--variant",
-    type=click.Choice(["ganimator", "paper"]),
-    default="ganimator",
-    show_default=True,
-    help="Definition of the patch metrics.",
-)
+@_choice("--variant", "ganimator", "paper", help="Definition of the patch metrics.")
 @click.option(
     "--threshold",
     type=click.FloatRange(min=0, min_open=True),
     help="Coverage threshold: largest distance at which a patch counts as covered.  [default: "
     "2.0; none for paper]",
 )
-@click.option(
+@_choice(
     "--bas",
-    type=click.Choice(["seconds", "bailando"]),
-    default="seconds",
-    show_default=True,
+    "seconds",
+    "bailando",
     help="Definition of beat alignment (BAS). seconds: speed low-passed at 6 Hz, beats between "
     "frames, the same at any frame rate. bailando: frame differences, beats on frames, kernels of "
     "5 and 3 frames at any rate, as in the code of the papers.",
 )
-@click.option(
+@_choice(
     "--kinetic",
-    type=click.Choice(["corrected", "released"]),
-    default="corrected",
-    show_default=True,
+    "corrected",
+    "released",
     help="Kinetic features of FID_k and Div_k. released: as in the code of the papers, with its "
     "slip in the acceleration, which published values contain.",
 )
@@ -175,13 +163,7 @@ _USED_BY_SANITY = (
     help="GENERATED is a folder of recordings (with their sound, or --audio): evaluate known-bad "
     "motion made from them, and print which of it each metric detects.",
 )
-@click.option(
-    "--seed",
-    type=SEED,
-    default=0,
-    show_default=True,
-    help="Seed for samples and confidence intervals.",
-)
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of samples, intervals.")
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
@@ -198,8 +180,6 @@ def command(
     reference: Path | None,
     surplus: tuple[str, ...],
     compare: tuple[str, ...],
-    out: Path | None,
-    json_out: Path | None,
     **options: Any,
 ) -> None:
     """Measure generated motion (GENERATED: folder or file, npz or BVH) against recordings.
@@ -219,45 +199,42 @@ def command(
     measured. With --corpus, clips of other splits and of items without motion do not count as left
     out: a note lists them.
     """
+    if options["sanity"]:
+        ctx.exit(_sanity(ctx, (generated, reference, *surplus, *compare), options))
+    _refuse_surplus(reference, surplus, options["corpus"])
     from gesturekit.evaluation import read_ratings
-    from gesturekit.evaluation.report.metric_table import WRITERS, summary_line
+    from gesturekit.evaluation.report import text
+    from gesturekit.evaluation.results import read_results
     from gesturekit.evaluation.statistics.agreement import agreement, shared_systems
 
-    if options["sanity"]:
-        ctx.exit(_sanity((generated, reference, *surplus, *compare), out, json_out, options))
-    _refuse_surplus(reference, surplus, options["corpus"])
     recordings = recordings_of(reference, options)
-    names = (generated, *compare)
-    if out is not None and out.suffix.lower() not in (".html", ".htm"):
-        raise click.UsageError(f"--out {out}: the report is HTML: name it .html (--json for data)")
-    tables = {form: _to_write(options[form], options["existing"]) for form in WRITERS}
-    out, json_out = (_to_write(path, options["existing"]) for path in (out, json_out))
-    before = _earlier(options["against"])
+    names, baselines = (generated, *compare), comma_separated(options["baseline"])
+    files = _files(options)
+    before = None if options["against"] is None else read_results(options["against"])
     ratings = None if options["study"] is None else read_ratings([options["study"]])
     folders = folders_of(names, recordings, options)
     temporary = Path(ctx.with_resource(tempfile.TemporaryDirectory(prefix="gesturekit-")))
     folders |= rendered_baselines(Path(place_of(generated)), folders, temporary, options)
     if ratings is not None:
-        # Before hours of measuring.
-        shared_systems([*folders, *comma_separated(options["baseline"])], ratings)
+        shared_systems([*folders, *baselines], ratings)  # before hours of measuring
     found = _evaluated(folders, recordings, options)
-    found.settings["baselines"] = comma_separated(options["baseline"])  # as given, all of them
     if ratings is not None:
         found.agreement = agreement(found.models, ratings, options["seed"])
     _mark_trained(found, names)
     # First: the reader of a pipe, such as head, may leave before everything is printed.
     line = shlex.join(["gesturekit", *sys.argv[1:]])
-    written = _write(found, tables, json_out, out, command=line, body=options["body"])
-    _print(found, written, before)
-    click.echo(summary_line(found, out or json_out))
+    _write(found, files, command=line, body=options["body"])
+    _echo(text.report_lines(found))
+    _echo(text.note_lines(found), err=True)
+    _echo(() if before is None else text.differences(found, before))
+    _echo(f"written  {path}" for path in files.values())
+    click.echo(text.summary_line(found, files.get("html") or files.get("json")))
     ctx.exit(0 if found.is_complete else 1)
 
 
-def _earlier(path: Path | None) -> dict[str, Any] | None:
-    """Return the results to compare with, if any."""
-    from gesturekit.evaluation.report.differences import read_results
-
-    return None if path is None else read_results(path)
+def _echo(lines: Iterable[str], *, err: bool = False) -> None:
+    for line in lines:
+        click.echo(line, err=err)
 
 
 def _mark_trained(found: Evaluation, names: Sequence[str]) -> None:
@@ -269,41 +246,39 @@ def _mark_trained(found: Evaluation, names: Sequence[str]) -> None:
             model.marks.append("trained on these")
 
 
-def _print(found: Evaluation, written: Sequence[Path], before: Mapping[str, Any] | None) -> None:
-    """Print verdicts, table, differences and the written files, and notes to standard error."""
-    from gesturekit.evaluation.report.agreement_table import agreement_lines
-    from gesturekit.evaluation.report.differences import differences
-    from gesturekit.evaluation.report.metric_table import note_lines, terminal_lines
+def _files(options: Mapping[str, Any]) -> dict[str, Path]:
+    """Return {form: file} of the files that are to be written.
 
-    for line in (*found.verdicts(), *terminal_lines(found), *agreement_lines(found)):
-        click.echo(line)
-    for line in note_lines(found):
-        click.echo(line, err=True)
-    for difference in () if before is None else differences(found, before):
-        click.echo(difference)
-    for path in written:
-        click.echo(f"written  {path}")
+    Raises:
+        UsageError: one cannot be written; raised before hours of measuring.
+    """
+    html, files = options["html"], {}
+    if html is not None and html.suffix.lower() not in (".html", ".htm"):
+        raise click.UsageError(f"--out {html}: the report is HTML: name it .html (--json for data)")
+    for form in _FORMS:
+        path = options[form]
+        if path is None or is_left([path], options["existing"]):
+            continue
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path.parent):
+                files[form] = path
+        except OSError as error:
+            raise click.UsageError(f"{path} cannot be written: {error.strerror}") from None
+    return files
 
 
-def _write(
-    found: Evaluation,
-    tables: Mapping[str, Path | None],
-    json_out: Path | None,
-    out: Path | None,
-    **page: str | None,
-) -> list[Path]:
-    """Write the requested files and return them; `page` are keywords of `write_report`."""
+def _write(found: Evaluation, files: Mapping[str, Path], **page: str | None) -> None:
+    """Write files by their forms; `page` are keywords of `write_report`."""
+    from audio_features.atomic import write_text
     from gesturekit.evaluation import write_report
-    from gesturekit.evaluation.report.metric_table import write_table
+    from gesturekit.evaluation.report.text import WRITERS
 
-    for form, path in tables.items():
-        if path is not None:
-            write_table(found, path, form)
-    if json_out is not None:
-        found.write_json(json_out)
-    if out is not None:
-        write_report(found, out, **page)
-    return [path for path in (*tables.values(), json_out, out) if path is not None]
+    for form, path in files.items():
+        if form == "html":
+            write_report(found, path, **page)
+        else:
+            write_text(path, WRITERS[form](found))
 
 
 def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path | None) -> None:
@@ -327,29 +302,19 @@ def _evaluated(
     """Run the evaluation with the options of the command line."""
     from gesturekit.evaluation import evaluate, load_extractor
 
-    features = options["features"]
-    try:
-        return evaluate(
+    features, baselines = options["features"], comma_separated(options["baseline"])
+    with resumable(lambda: "What is measured is cached: the same command continues."):
+        found = evaluate(
             folders,
             recordings,
-            audio=options["audio"],
-            semantic=options["semantic"],
-            take_pattern=options["take_pattern"],
-            take_table=options["take_table"],
+            **{name: options[name] for name in ("audio", "semantic", "take_pattern", "take_table")},
             protocol=options["protocol"] or "",
-            baselines=[
-                name for name in comma_separated(options["baseline"]) if name not in folders
-            ],
+            baselines=[name for name in baselines if name not in folders],
             features=None if features is None else load_extractor(features),
             **_measuring(options, "recording"),
         )
-    except KeyboardInterrupt:
-        click.echo(
-            "Stopped; nothing was written. Finished measurements are cached: the same command "
-            "continues from there.",
-            err=True,
-        )
-        raise
+    found.settings["baselines"] = baselines  # as given, all of them
+    return found
 
 
 def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
@@ -358,7 +323,7 @@ def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
     from gesturekit.progress import Progress
 
     return {
-        "variants": Variants(*(options[n] for n in ("variant", "threshold", "bas", "kinetic"))),
+        "variants": Variants(*(options[name] for name in _VARIANTS)),
         "seed": options["seed"],
         "workers": options["workers"] or os.cpu_count() or 1,
         "progress": lambda portions, total, label: Progress(
@@ -367,71 +332,36 @@ def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:
     }
 
 
-def _sanity(
-    names: Sequence[object], out: Path | None, json_out: Path | None, options: Mapping[str, Any]
-) -> int:
+def _sanity(ctx: click.Context, names: Sequence[object], options: Mapping[str, Any]) -> int:
     """Evaluate known-bad motion made from recordings, print the table and return the exit code.
 
     Args:
+        ctx: says which options were given.
         names: the positional arguments; the first one is the recordings.
-        out: HTML report to write, or None.
-        json_out: JSON to write, or None.
-        options: the other options of `gesturekit evaluate`.
+        options: the options of `gesturekit evaluate`.
 
     Raises:
-        UsageError: more is named than the recordings, or an option that has no use here.
+        UsageError: more is named than the recordings, or an option that would be ignored.
     """
     recordings, *surplus = filter(None, names)
     if surplus:
         raise click.UsageError("--sanity takes only a folder of recordings, and --audio")
-    _refuse_unused(click.get_current_context())
-    from gesturekit.evaluation.report.bad_motion import run_sanity
-    from gesturekit.evaluation.report.headline import headline_lines
-    from gesturekit.evaluation.report.sanity_table import conclusion, table_lines
-
-    found = run_sanity(
-        Path(str(recordings)),
-        options["audio"],
-        **_measuring(options, "task"),
-    )
-    # First: the reader of a pipe may leave before everything is printed.
-    title = f"Known-bad motion made from {recordings}"
-    written = _write(found.evaluation, {}, json_out, out, title=title)
-    for line in (*headline_lines(found.evaluation), "", *table_lines(found), conclusion(found)):
-        click.echo(line)
-    for name, reason in found.left_out.items():
-        click.echo(f"Left out: {name}: {reason}", err=True)
-    for path in written:
-        click.echo(f"written  {path}")
-    return 1 if found.left_out else 0
-
-
-def _refuse_unused(context: click.Context) -> None:
-    """Refuse options of `gesturekit evaluate` that would be ignored.
-
-    Raises:
-        UsageError: there is one.
-    """
-    for option in context.command.params:
-        given = context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+    for option in ctx.command.params:
+        given = ctx.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
         if given and isinstance(option, click.Option) and option.name not in _USED_BY_SANITY:
             raise click.UsageError(
                 f"--sanity does not use {option.opts[-1]}; leave it out (--out and --json write "
                 "all results)"
             )
+    from gesturekit.evaluation.report.sanity import conclusion, run_sanity, table_lines
+    from gesturekit.evaluation.report.text import headline_lines
 
-
-def _to_write(path: Path | None, existing: str) -> Path | None:
-    """Return a file if it is to be written, else None.
-
-    Raises:
-        UsageError: it cannot be written; raised before hours of measuring.
-    """
-    if path is None or is_left([path], existing):
-        return None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            return path
-    except OSError as error:
-        raise click.UsageError(f"{path} cannot be written: {error.strerror}") from None
+    files = _files(options)
+    measuring = _measuring(options, "task")
+    found, left_out = run_sanity(Path(str(recordings)), options["audio"], **measuring)
+    # First: the reader of a pipe may leave before everything is printed.
+    _write(found, files, title=f"Known-bad motion made from {recordings}")
+    _echo((*headline_lines(found), "", *table_lines(found), conclusion(found)))
+    _echo((f"Left out: {name}: {reason}" for name, reason in left_out.items()), err=True)
+    _echo(f"written  {path}" for path in files.values())
+    return 1 if left_out else 0

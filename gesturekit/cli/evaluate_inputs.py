@@ -80,19 +80,16 @@ def folders_of(
         path = Path(name)
         if label in folders:
             raise click.UsageError(f"two models are named {label}")
-        if label is None:
-            label = place.stem if path.is_file() else place.name
-            if label in folders:
-                label = f"{place.parent.name}/{label}"
-            if label in folders:
-                label = str(place)
+        usual = place.stem if path.is_file() else place.name
+        free = (n for n in (usual, f"{place.parent.name}/{usual}") if n not in folders)
+        label = label or next(free, str(place))
         folders[label] = path
         if why := unfinished(path):
             raise click.UsageError(why)
-        if path.exists() and not (path / "config.yaml").is_file():
+        # `evaluate` reports that there is no such folder.
+        is_model = (path / "config.yaml").is_file() if path.exists() else name in bundled_models()
+        if not is_model:
             continue
-        if not path.exists() and name not in bundled_models():
-            continue  # `evaluate` reports that there is no such folder
         if options["protocol"] is None:
             raise click.UsageError(
                 f"{name} is a model, not motion: render it first (gesturekit render), or give "

@@ -128,14 +128,24 @@ class EvaluationOptions:
         if self.seed < 0:
             raise EvaluationError(f"seed is {self.seed}: give a whole number from 0")
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the settings of the report as plain values."""
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups of metrics to take."""
+        groups = PROTOCOLS[self.protocol]
+        return tuple(group for group in groups if group in CHEAP) if self.cheap else groups
+
+    def to_json(self, split: str | None) -> dict[str, Any]:
+        """Return the settings of the report as plain values; `split` is the one measured."""
         return {
             "seed": self.seed,
             "baselines": list(self.baselines),
             "audio": None if self.audio is None else str(self.audio),
             "semantic": None if self.semantic is None else str(self.semantic),
             "features": self.features and self.features.fingerprint,
+            "split": split,
+            "variants": asdict(self.variants),
+            "mismatched": MISMATCHED,
+            "resampling": RULE,
         }
 
 
@@ -172,21 +182,20 @@ def evaluate(
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
-    reference = _recordings(reference, chosen.split)
-    split = reference.split or None if isinstance(reference, Items) else None
-    if isinstance(reference, Items) and split and chosen.audio is not None:
-        raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
+    reference, split = _recordings(reference, chosen)
     takes = _takes(reference, chosen)
-    found = _pairs(folders, reference, chosen, takes)
-    fps = _frame_rate(next(iter(found.values())))
-    found |= baseline_pairs(chosen.baselines, found, reference, fps)
-    compared = _compared(reference, chosen.protocol)
-    statistics = ReferenceStatistics.of(compared, fps)
-    measurer = _measurer(found, statistics, compared, reference, fps, takes, chosen)
+    pairs = _pairs(folders, reference, chosen, takes)
+    fps = _frame_rate(next(iter(pairs.values())))
+    pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
+    measurer, statistics = _measurer(pairs, reference, fps, takes, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    places = {label: folders.get(label, Path(label)) for label in found}
-    known = measurer.ceilings(), measurer.likeness_levels()
-    models = [_model(k, places[k], pairs, measured, known, chosen) for k, pairs in found.items()]
+    recorded = measurer.ceilings(), measurer.likeness_levels()
+    models = [
+        _model(
+            ModelResult(label, folders.get(label, Path(label))), some, measured, recorded, chosen
+        )
+        for label, some in pairs.items()
+    ]
     _judge(models, reference, chosen.protocol)
     first = measured.sets[models[0].label]["pooled"]
     unread = [Excluded(**item) for item in first.get("training_excluded", ())]
@@ -196,7 +205,7 @@ def evaluate(
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=chosen.protocol,
-        settings=_settings(chosen, split),
+        settings=chosen.to_json(split),
         recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
         recorded_wrists=np.array(first.get("recorded_wrists", ())),
     )
@@ -256,46 +265,30 @@ def _pairs(
     return found
 
 
-def _groups(options: EvaluationOptions) -> tuple[str, ...]:
-    """Return the groups of metrics to take."""
-    groups = PROTOCOLS[options.protocol]
-    return tuple(group for group in groups if group in CHEAP) if options.cheap else groups
-
-
-def _settings(options: EvaluationOptions, split: str | None) -> dict:
-    """Return the settings of the report."""
-    return {
-        **options.to_json(),
-        "split": split,
-        "variants": asdict(options.variants),
-        "mismatched": MISMATCHED,
-        "resampling": RULE,
-    }
-
-
 def _measurer(
-    found: Mapping[str, Pairs],
-    statistics: ReferenceStatistics,
-    compared: Mapping[str, Path | ItemInterval],
+    pairs: Mapping[str, Pairs],
     reference: Path | Items,
     fps: float,
     takes: Mapping[str, str],
     options: EvaluationOptions,
-) -> Measurer:
-    """Return all that is to be measured."""
-    return Measurer(
-        measure=ClipMetrics(statistics, _groups(options), options.variants, options.cheap),
-        pairs={label: pairs.pairs for label, pairs in found.items()},
+) -> tuple[Measurer, ReferenceStatistics]:
+    """Return all that is to be measured, and the statistics of the recordings."""
+    compared = _compared(reference, options.protocol)
+    statistics = ReferenceStatistics.of(compared, fps)
+    measurer = Measurer(
+        measure=ClipMetrics(statistics, options.groups, options.variants, options.cheap),
+        pairs={label: some.pairs for label, some in pairs.items()},
         recordings={key: compared[key] for key in statistics.recordings},
         reference=reference,
         fps=fps,
         length=MULTIRES_LENGTH if options.protocol == "multires" else 1.0,
         features=options.features,
         seed=options.seed,
-        without=joints_to_leave_out(found, fps),
+        without=joints_to_leave_out(pairs, fps),
         local=frozenset(options.baselines),
         takes=takes,
     )
+    return measurer, statistics
 
 
 def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemInterval]:
@@ -309,20 +302,26 @@ def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemIn
     return every
 
 
-def _recordings(reference: str | Path | Items, split: str | None) -> Path | Items:
-    """Return the recordings of a path, of a manifest as `Items`.
+def _recordings(
+    reference: str | Path | Items, options: EvaluationOptions
+) -> tuple[Path | Items, str | None]:
+    """Return the recordings of a path, of a manifest as `Items`, and their split.
 
     Raises:
         CorpusError: the manifest cannot be read, or has no item of the split.
-        EvaluationError: a split is given without a manifest.
+        EvaluationError: a split is given without a manifest, or sound beside one.
     """
+    if not isinstance(reference, Items) and Path(reference).suffix.lower() == ".jsonl":
+        reference = Items.of_manifest(Path(reference), options.split or "test")
+    elif options.split is not None:
+        raise EvaluationError(
+            f"split={options.split!r} chooses items of a manifest (.jsonl): {reference}"
+        )
     if not isinstance(reference, Items):
-        reference = Path(reference)
-        if reference.suffix.lower() == ".jsonl":
-            return Items.of_manifest(reference, split or "test")
-    if split is not None:
-        raise EvaluationError(f"split={split!r} chooses items of a manifest (.jsonl): {reference}")
-    return reference
+        return Path(reference), None
+    if reference.split and options.audio is not None:
+        raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
+    return reference, reference.split or None
 
 
 def _frame_rate(pairs: Pairs) -> float:
@@ -338,11 +337,10 @@ def _frame_rate(pairs: Pairs) -> float:
 
 
 def _model(
-    label: str,
-    path: Path,
-    found: Pairs,
+    result: ModelResult,
+    pairs: Pairs,
     measured: Measured,
-    known: OfRecordings,
+    recorded: OfRecordings,
     options: EvaluationOptions,
 ) -> ModelResult:
     """Return the results of a model, from the measurements of its clips and of their set.
@@ -350,62 +348,50 @@ def _model(
     Raises:
         EvaluationError: no clip could be measured.
     """
-    clips, sets = measured.clips[label], measured.sets[label]
-    result = ModelResult(label, path, excluded=list(found.excluded), notes=list(found.notes))
+    result.excluded, result.notes = list(pairs.excluded), list(pairs.notes)
     problems: dict[tuple[str, str], list[str]] = {}
-    for pair, values in zip(found.pairs, clips, strict=True):
+    for pair, measurement in zip(pairs.pairs, measured.clips[result.label], strict=True):
+        values = dict(measurement)
         if "reason" in values:
             result.excluded.append(Excluded(pair.name, values["reason"]))
             continue
-        for key, reason in values["problems"]:
+        for key, reason in values.pop("problems"):
             problems.setdefault((key, reason), []).append(pair.name)
-        own = {name: value for name, value in values.items() if name != "problems"}
-        result.clips.append(ClipResult(pair, **own))
+        result.clips.append(ClipResult(pair, **values))
     if not result.clips:
         reasons = "; ".join(item.reason for item in result.excluded[:3])
-        raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
-    _summarise(result, sets, known, options)
-    for part in sets.values():
-        for key, reason in part["problems"]:
-            problems.setdefault((key, reason), []).append("the whole set")
+        raise EvaluationError(f"{result.path}: no clip could be measured: {reasons}")
+    sets = measured.sets[result.label]
+    result.metrics = metric_results(result.clips, sets, *recorded)
+    if POOLED in options.groups:
+        result.verdict = verdict(result.metrics)
+    if PATCHES in options.groups:
+        result.by_recording = _by_recording(result.clips)
+    result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
+    result.wrists = np.array(sets["pooled"].get("wrists", ()))
+    result.notes += _protocol_notes(result, options.protocol)
+    for key, reason in (problem for half in sets.values() for problem in half["problems"]):
+        problems.setdefault((key, reason), []).append("the whole set")
     for (key, reason), names in problems.items():
         title = DEFINITIONS[key].name if key in DEFINITIONS else key
         result.excluded.append(Excluded(listed(names, 3), reason, title))
     return result
 
 
-def _summarise(
-    result: ModelResult,
-    sets: Mapping[str, Mapping[str, Any]],
-    known: OfRecordings,
-    options: EvaluationOptions,
-) -> None:
-    groups = _groups(options)
-    result.metrics = metric_results(result.clips, sets, *known)
-    if POOLED in groups:
-        result.verdict = verdict(result.metrics)
-    if PATCHES in groups:
-        result.by_recording = _by_recording(result.clips)
-    result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
-    result.wrists = np.array(sets["pooled"].get("wrists", ()))
-    result.notes += _protocol_notes(result, options.protocol)
-
-
 def _by_recording(clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
     """Average the patch metrics over the samples of each recording (eq. 18)."""
-    by_recording = {}
-    for stem in sorted({clip.pair.stem for clip in clips}):
-        metrics: dict[str, Interval] = {}
-        for key, definition in DEFINITIONS.items():
-            values = [
-                clip.metrics[key]
-                for clip in clips
-                if clip.pair.stem == stem and key in clip.metrics
-            ]
-            if definition.group == PATCHES and values:
-                metrics[key] = interval_over_samples(values, definition.within)
-        by_recording[stem] = metrics
-    return by_recording
+    samples: dict[str, list[Mapping[str, float]]] = {}
+    for clip in clips:
+        samples.setdefault(clip.pair.stem, []).append(clip.metrics)
+    patches = [definition for definition in DEFINITIONS.values() if definition.group == PATCHES]
+    return {
+        stem: {
+            d.key: interval_over_samples([m[d.key] for m in metrics if d.key in m], d.within)
+            for d in patches
+            if any(d.key in m for m in metrics)
+        }
+        for stem, metrics in sorted(samples.items())
+    }
 
 
 def _protocol_notes(result: ModelResult, protocol: str) -> list[str]:

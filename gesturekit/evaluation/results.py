@@ -13,12 +13,16 @@ from typing import Any
 import numpy as np
 
 from audio_features.atomic import write_text
+from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
 from gesturekit.wording import counted
 
 FORMAT = 1
+NOT_ASKED = "not asked"
+"""State of the answers for a broken motion: its scores say nothing."""
+_MOST_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,19 @@ class ClipResult:
     mismatched: dict[str, float]
     notes: Sequence[str] = ()
 
+    def to_json(self) -> dict[str, Any]:
+        """Return all of it but its files as plain values."""
+        return {
+            "name": self.pair.name,
+            "recording": self.pair.stem,
+            "window": self.pair.window,
+            "seconds": round(self.seconds, 4),
+            "figures": self.metrics,
+            "recording_figures": self.recording,
+            "mismatched": self.mismatched,
+            "notes": list(self.notes),
+        }
+
 
 @dataclass(frozen=True)
 class MetricResult:
@@ -134,6 +151,27 @@ class MetricResult:
     informative: bool = True
     ceiling: Level | None = None
     floors: tuple[Level, ...] = ()
+
+    @property
+    def levels(self) -> list[Level]:
+        """Floors and ceiling."""
+        return [*self.floors, *([self.ceiling] if self.ceiling else [])]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all of it as plain values, without nesting the intervals."""
+        values = asdict(self)
+        del values["key"]
+        own = values.pop("recording_interval") or {}
+        over_takes = self.interval.over == "takes"
+        return {
+            **values.pop("interval"),
+            **values,
+            "unit": DEFINITIONS[self.key].unit,
+            "takes": self.interval.units if over_takes else None,
+            "method": self.interval.method,
+            "recording_low": own.get("low"),
+            "recording_high": own.get("high"),
+        }
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> MetricResult:
@@ -214,7 +252,7 @@ class Finding:
     Attributes:
         question: such as "In time with the speech?".
         key: key of `definitions` of its metric.
-        state: "yes", "partly", "no", "cannot be answered" or "not measured".
+        state: "yes", "partly", "no", "cannot be answered", "not measured" or "not asked".
         sentence: the answer in words.
     """
 
@@ -352,54 +390,55 @@ class Evaluation:
             "agreement": self.agreement and asdict(self.agreement),
         }
 
+    def json_text(self) -> str:
+        """Return `to_json` as text."""
+        return json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
     def write_json(self, path: str | os.PathLike[str]) -> None:
         """Write `to_json` to a file."""
-        text = json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        write_text(path, text + "\n")
+        write_text(path, self.json_text())
 
 
 def _model(model: ModelResult) -> dict[str, Any]:
+    """Return the results of a model as plain values."""
     return {
         "label": model.label,
         "path": str(model.path),
         "verdict": model.verdict,
         "answers": [asdict(answer) for answer in model.answers],
-        "figures": {
-            key: {
-                **asdict(result.interval),
-                "unit": DEFINITIONS[key].unit,
-                "takes": result.interval.units if result.interval.over == "takes" else None,
-                "method": result.interval.method,
-                "recording": result.recording,
-                "chance": result.chance,
-                "recording_low": result.recording_interval and result.recording_interval.low,
-                "recording_high": result.recording_interval and result.recording_interval.high,
-                "informative": result.informative,
-                "mismatched": result.mismatched,
-                "note": result.note,
-                "ceiling": result.ceiling and asdict(result.ceiling),
-                "floors": [asdict(level) for level in result.floors],
-            }
-            for key, result in model.metrics.items()
-        },
+        "figures": {key: result.to_json() for key, result in model.metrics.items()},
         "by_recording": {
             stem: {key: asdict(interval) for key, interval in metrics.items()}
             for stem, metrics in model.by_recording.items()
         },
-        "clips": [
-            {
-                "name": clip.pair.name,
-                "recording": clip.pair.stem,
-                "window": clip.pair.window,
-                "seconds": round(clip.seconds, 4),
-                "figures": clip.metrics,
-                "recording_figures": clip.recording,
-                "mismatched": clip.mismatched,
-                "notes": list(clip.notes),
-            }
-            for clip in model.clips
-        ],
+        "clips": [clip.to_json() for clip in model.clips],
         "excluded": [asdict(item) for item in model.excluded],
         "notes": model.notes,
         "marks": model.marks,
     }
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """Return the values of a results file that `evaluate --json` wrote.
+
+    Raises:
+        EvaluationError: it cannot be read, is no such file, or is of a newer format.
+    """
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise EvaluationError(f"{path}: too large for results of evaluate")
+        values = json.loads(path.read_text(encoding="utf-8"))
+        written = values["format"]
+        if isinstance(written, int) and written > FORMAT:
+            raise EvaluationError(
+                f"{path}: format {written} is newer than this gesturekit's ({FORMAT}); update it"
+            )
+        for model in values["models"]:
+            for figure in model["figures"].values():
+                float(figure["value"])
+            str(model["label"])
+    except EvaluationError:
+        raise
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        raise EvaluationError(f"{path}: not a file of evaluate --json ({error})") from error
+    return values

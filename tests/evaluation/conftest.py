@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from audio_features import Wave
+from gesturekit.evaluation import Evaluation, write_report
 from gesturekit.motion import Motion, Skeleton
 
 
@@ -24,6 +25,17 @@ def turning(skeleton: Skeleton) -> Callable[..., Motion]:
         return Motion(skeleton, rotations, np.tile([0.0, 0.9, 0.0], (n, 1)), fps)
 
     return make
+
+
+@pytest.fixture
+def page_of(tmp_path) -> Callable[[Evaluation], str]:
+    """page_of(evaluation): the text of its report."""
+
+    def write(evaluation: Evaluation) -> str:
+        write_report(evaluation, tmp_path / "page.html")
+        return (tmp_path / "page.html").read_text(encoding="utf-8")
+
+    return write
 
 
 @pytest.fixture(scope="session")

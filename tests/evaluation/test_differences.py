@@ -7,7 +7,8 @@ import pytest
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate
-from gesturekit.evaluation.report.differences import differences, read_results
+from gesturekit.evaluation.report.text import differences
+from gesturekit.evaluation.results import read_results
 
 DOCS = Path(__file__).parents[2] / "docs" / "results_file.md"
 

@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from markupsafe import escape
 from pages import bundled
 
 from gesturekit.evaluation import evaluate, write_report
-from gesturekit.evaluation.report.tables import number
+from gesturekit.evaluation.report.rows import number
 
 pytestmark = bundled
 
@@ -80,7 +81,7 @@ def test_it_needs_nothing_from_outside(page):
 def test_names_cannot_become_code(page):
     text = page.read_text(encoding="utf-8")
     assert "alert(1)</script>" not in text and "<script>alert" not in text
-    assert html.escape(HOSTILE) in text
+    assert str(escape(HOSTILE)) in text
 
 
 def test_it_plays_the_best_and_the_worst_beside_their_recordings(page, evaluation):

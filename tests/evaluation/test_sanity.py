@@ -10,11 +10,20 @@ import soundfile
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult
-from gesturekit.evaluation.report.bad_motion import BAD_MOTION, BadMotionInputs, run_sanity
-from gesturekit.evaluation.report.sanity_table import conclusion, mark, noticed_by, table_lines
+from gesturekit.evaluation.report.sanity import (
+    bad_motion,
+    conclusion,
+    mark,
+    noticed_by,
+    run_sanity,
+    table_lines,
+)
 from gesturekit.motion import Motion, Skeleton
 
-ALL = set(BAD_MOTION)
+ALL = {
+    *("frozen", "mean pose", "noise", "jitter", "another utterance", "reversed", "half speed"),
+    *("half reach", "foot slide", "training recording"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +34,7 @@ def spoken(shared_data, tmp_path_factory):
     Motion.load(bvh).trim(20.0, 54.0).save(folder / "speech.npz")
     wave = Wave.load(bvh.with_suffix(".wav")).slice(20.0, 34.0)
     soundfile.write(folder / "speech.wav", wave.samples, wave.sample_rate)
-    return run_sanity(folder)
+    return run_sanity(folder)[0]
 
 
 @pytest.mark.stress
@@ -44,7 +53,7 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
         shutil.copy(path, tmp_path)
         samples, rate = soundfile.read(sounds[3 * i % len(sounds)])
         soundfile.write(tmp_path / f"{path.stem}.wav", samples, rate)
-    done = run_sanity(tmp_path)
+    done, _ = run_sanity(tmp_path)
     found = noticed_by(done)
     assert {key for key, by in found.items() if not by} == {"another utterance"}
     assert "novelty" in found["training recording"]
@@ -55,11 +64,11 @@ def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, ge
     for k, (name, seconds) in enumerate((("a", 3.5), ("b", 3.2))):
         gesture(seconds, 10.0, seed=k).save(tmp_path / f"{name}.npz")
     gesture(2.0, 10.0).save(tmp_path / "short.npz")
-    done = run_sanity(tmp_path)
-    recording, *bad = done.evaluation.models
+    done, left_out = run_sanity(tmp_path)
+    recording, *bad = done.models
     assert recording.label == "recording" and {model.label for model in bad} == ALL
     assert all(len(model.clips) == len(recording.clips) for model in bad)
-    assert "3 s" in done.left_out["short"] and done.evaluation.reference == tmp_path
+    assert "3 s" in left_out["short"] and done.reference == tmp_path
     (frozen,) = (model for model in bad if model.label == "frozen")
     assert frozen.metrics["near_still"].interval.value == 100.0
     lines = "\n".join(table_lines(done))
@@ -68,9 +77,7 @@ def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, ge
 
 def test_bad_motions_match_their_names(gesture):
     recording, other, training = (gesture(4.0, 25.0, seed=i) for i in range(3))
-    made = {
-        n: make(BadMotionInputs(recording, other, training, 0)) for n, make in BAD_MOTION.items()
-    }
+    made = bad_motion(recording, other, training, 0)
     assert all(m.n_frames == 100 and m.fps == 25.0 for m in made.values())
     assert np.ptp(made["frozen"].rotations, axis=0).max() == 0.0
     assert np.ptp(made["mean pose"].rotations, axis=0).max() == 0.0

@@ -11,7 +11,6 @@ import pytest
 
 from gesturekit.evaluation import (
     ClipResult,
-    Contest,
     Evaluation,
     Excluded,
     Interval,
@@ -21,14 +20,8 @@ from gesturekit.evaluation import (
     SpeedHistogram,
     contests,
 )
-from gesturekit.evaluation.report import tables
-from gesturekit.evaluation.report.metric_table import (
-    WRITERS,
-    note_lines,
-    summary_line,
-    terminal_lines,
-    write_table,
-)
+from gesturekit.evaluation.report.rows import number
+from gesturekit.evaluation.report.text import WRITERS, note_lines, summary_line, terminal_lines
 
 
 def of(value: float, low: float | None = None, high: float | None = None, n: int = 6) -> Interval:
@@ -69,29 +62,28 @@ def evaluation() -> Evaluation:
     )  # fmt: skip
     jerk = {"jerk": MetricResult("jerk", of(0.02), 12.34)}
     b = ModelResult("b", Path("b"), metrics=jerk, clips=[clip("r0", {"jerk": 0.02}, {})])
-    settings = {"variants": {}}
+    settings = {"variants": {}, "seed": 0}
     return Evaluation([a, b], Path("r"), 25.0, "", settings, SpeedHistogram(), np.zeros(0))
 
 
-def rows_of(section: str) -> list[list[str]]:
-    """Return the text of the cells of each row; lines within a cell are separated by bars."""
+def rows_of(page: str, heading: str) -> list[list[str]]:
+    """Return the text of the cells of a section's rows; bars separate the lines of a cell."""
+    (section,) = re.findall(rf"<section><h2>{heading}.*?</section>", page, re.DOTALL)
     rows = re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)
     cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in rows]
     text = [[re.sub(r"<small[^>]*>", "|", cell) for cell in row] for row in cells]
-    return [[html.unescape(re.sub(r"<[^>]+>", "", cell)) for cell in row] for row in text]
+    return [[html.unescape(re.sub(r"<[^>]+>", "", c)).strip() for c in row] for row in text]
 
 
 @pytest.mark.parametrize("value", [0.0, 0.0123, 0.51234, 12.341, 123.41, 1234.1, -1234567.1])
 def test_numbers_are_nearly_right_and_no_longer_than_their_size_needs(value):
-    text = tables.number(value).replace("\u202f", "")
+    text = number(value).replace("\u202f", "")
     assert float(text) == pytest.approx(value, rel=0.03)
     assert len(text.strip("-").replace(".", "")) <= max(4, len(f"{abs(value):.0f}"))
 
 
-def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation):
-    contests = {"sync": Contest("sync", 0.7, {}, "reference", best="a&b")}
-    text = tables.metrics(evaluation, contests)
-    head, *rows = rows_of(text)
+def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation, page_of):
+    head, *rows = rows_of(page_of(evaluation), "Figures")
     of_a, of_b = ([cell[:3] for cell in head].index(label) for label in ("a&b", "b"))
     assert "retargeted" in head[of_a] and "retargeted" not in head[of_b]
     sync = ("0.50", "0.40", "0.60", "0.10", "0.25")
@@ -105,12 +97,11 @@ def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation
         (row,) = (row for row in rows if re.match(rf"{name}\b", row[0]))
         cells = zip((row[0], row[of_a], row[of_b], row[-1]), facts)
         assert all(fact in cell for cell, known in cells for fact in known), name
-        assert ("↑" in "".join(row)) == (name == "Coverage"), name
-    assert re.findall(r"\bbest\b[^<>]*>([^<]*)", text) == ["0.50"]
+        assert ("↑" in "".join(row)) == (name in ("Sync", "Coverage")), name
 
 
-def test_what_is_left_out_is_named(evaluation):
-    rows = [" ".join(row) for row in rows_of(tables.excluded(evaluation))]
+def test_what_is_left_out_is_named(evaluation, page_of):
+    rows = [" ".join(row) for row in rows_of(page_of(evaluation), "Left out")]
     lines = list(note_lines(evaluation))
     feet = ("foot_skate", "no feet")
     for facts in (("x", "no recording"), ("r0", *feet), ("r1", *feet)):
@@ -122,7 +113,7 @@ def test_what_is_left_out_is_named(evaluation):
     assert all(fact in shown for fact in ("3 clips", "1 left out", "x.html"))
     assert "--out" in summary_line(evaluation, None)
     evaluation.models[0].excluded.clear()
-    assert "foot_skate" not in tables.excluded(evaluation) and evaluation.is_complete
+    assert "Nothing: every metric" in page_of(evaluation) and evaluation.is_complete
 
 
 @pytest.fixture
@@ -140,11 +131,11 @@ def contested() -> Evaluation:
             "jerk": MetricResult("jerk", of(3.0), 4.0, chance=1.0),
         }
         models.append(ModelResult(label, Path(label), metrics=metrics, clips=clips))
-    settings = {"variants": {}}
+    settings = {"variants": {}, "seed": 0}
     return Evaluation(models, Path("r"), 25.0, "", settings, SpeedHistogram(), np.zeros(0))
 
 
-def test_the_bold_value_is_marked_in_every_form(contested, tmp_path):
+def test_the_bold_value_is_marked_in_every_form(contested, page_of):
     row = contests(contested.models)["reach"]
     assert row.best == "語 50%" and row.p < 0.05
     lines = terminal_lines(contested)
@@ -163,5 +154,4 @@ def test_the_bold_value_is_marked_in_every_form(contested, tmp_path):
     assert r"b|c\_d" in latex and r"語 50\%" in latex
     assert re.findall(r"\\textbf\{([\d.]+)", latex) == ["0.41"]
     assert all(fact in latex for fact in ("0.21", "0.50", "6 takes", "6 clips", "30 s", "25 fps"))
-    write_table(contested, tmp_path / "x.md", "markdown")
-    assert (tmp_path / "x.md").read_text(encoding="utf-8") == WRITERS["markdown"](contested)
+    assert re.findall(r"\bclass=best\b[^<>]*>([^<]*)", page_of(contested)) == ["0.41"]

@@ -1,4 +1,7 @@
-"""The report: one self-contained HTML file with tables, plots and a player."""
+"""The report: one self-contained HTML file with tables, plots and a player.
+
+`page/report.html` holds its sentences and tables; this module computes what they show.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +9,53 @@ import html
 import json
 import os
 import re
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
-from gesturekit.evaluation.report import tables
-from gesturekit.evaluation.report.agreement_table import agreement_lines
-from gesturekit.evaluation.report.headline import headline, interval_warnings
-from gesturekit.evaluation.report.plots import all_plots
-from gesturekit.evaluation.report.showcase import SECONDS, Shown, best_and_worst
-from gesturekit.evaluation.results import Evaluation
-from gesturekit.evaluation.statistics.paired import contests
+import jinja2
+from markupsafe import Markup
+
+from audio_features import AudioFeaturesError
+from audio_features.atomic import write_text
+from gesturekit.errors import GestureKitError
+from gesturekit.evaluation.definitions import (
+    DEFINITIONS,
+    FRECHET,
+    HEADLINE,
+    PATCHES,
+    SPEECH,
+    Definition,
+    shown_in,
+)
+from gesturekit.evaluation.measuring.clips import load_clip, load_wave
+from gesturekit.evaluation.pairs import WINDOW_SECONDS
+from gesturekit.evaluation.report import rows
+from gesturekit.evaluation.report.plots import RECORDING, all_plots, colour
+from gesturekit.evaluation.report.text import agreement_lines
+from gesturekit.evaluation.results import (
+    NOT_ASKED,
+    ClipResult,
+    Evaluation,
+    Interval,
+    MetricResult,
+    ModelResult,
+)
 from gesturekit.evaluation.statistics.questions import same_verdicts
-from gesturekit.viewer import player_shell
-from gesturekit.viewer.pages import plots_section, script_json, section, write_page
+from gesturekit.motion import Motion
+from gesturekit.viewer import player_data, player_shell
+from gesturekit.viewer.pages import plots_section, script_json
 from gesturekit.wording import counted
 
-_HERE = Path(__file__).parent / "page"
+EACH = 2
+"""Largest number of best and of worst clips that are shown."""
+SECONDS = 180.0
+"""Seconds of a clip that are shown, at most: a page with four clips of two figures has 8 MB."""
+_PAGE = Path(__file__).parent / "page"
+_OPEN = (HEADLINE, SPEECH, PATCHES, FRECHET)  # groups of the papers' tables; the rest is folded
+_MOST_CLIPS = 300
 
 
 def write_report(
@@ -55,40 +88,64 @@ def write_report(
         True
     """
     evaluation = _with_short_names(evaluation)
-    names = ", ".join(model.label for model in evaluation.models)
-    heading = title or f"{names} against {evaluation.reference.name}"
+    models, groups = evaluation.models, rows.rows_by_group(evaluation)
+    names = ", ".join(model.label for model in models)
     shown = best_and_worst(evaluation, body)
-    rows = contests(evaluation.models)
-    sections = [
-        _clips_section(shown, evaluation),
-        without_folders(headline(evaluation, rows)),
-        without_folders(tables.metrics(evaluation, rows)),
-        without_folders(tables.recordings(evaluation)),
-        plots_section(all_plots(evaluation)),
-        _agreement_section(evaluation),
-        without_folders(tables.per_clip(evaluation)),
-        without_folders(tables.excluded(evaluation)),
-        without_folders(_definitions_section(evaluation, command)),
-    ]
-    page = {
-        "title": html.escape(without_folders(heading)),
-        "facts": "".join(f"<span>{html.escape(fact)}</span>" for fact in _facts(evaluation)),
-        "verdicts": _paragraphs("verdict", evaluation.verdicts())
-        + _paragraphs("facts", [*same_verdicts(evaluation.models), *_glossary(evaluation)]),
-        "warnings": _paragraphs("warning", _warnings(evaluation)),
-        "sections": "\n".join(filter(None, sections)),
-        "footer": html.escape(
-            ", ".join(f"{name} {version}" for name, version in evaluation.versions.items())
-        ),
-        "scripts": _scripts(shown),
+    values = dict(
+        evaluation=evaluation,
+        models=models,
+        title=title or f"{names} against {evaluation.reference.name}",
+        below_verdicts=[*same_verdicts(models), *_glossary(evaluation)],
+        facts=_facts(evaluation),
+        warnings=_warnings(evaluation),
+        shown=shown,
+        shown_seconds=f"{SECONDS:g}",
+        questions=_questions(models, groups.get(HEADLINE, [])),
+        groups=groups,
+        open_groups=_OPEN,
+        by_recording=_by_recording(evaluation),
+        plots=Markup(plots_section(all_plots(evaluation))),
+        agreement="\n".join(agreement_lines(evaluation)).strip(),
+        clip_rows=[(i, clip) for i, m in enumerate(models) for clip in m.clips[:_MOST_CLIPS]],
+        command=command,
+        settings=json.dumps(evaluation.settings, ensure_ascii=False),
+        player=_player(shown),
+    )
+    write_text(path, _templates().get_template("report.html").render(values))
+
+
+def _player(shown: Sequence[Shown]) -> dict[str, Markup]:
+    """Return style and scripts of the page, and the data of its player."""
+    clips = [{"title": html.escape(clip.title), "motion": clip.motion} for clip in shown]
+    return {
+        "style": Markup((_PAGE / "style.css").read_text("utf-8")),
+        "script": Markup((_PAGE / "clips.js").read_text("utf-8")),
+        "shell": Markup(script_json(player_shell() if shown else "")),
+        "clips": Markup(script_json(clips)),
     }
-    write_page(path, _HERE, page)
 
 
-def _paragraphs(kind: str, lines: Iterable[str]) -> str:
-    """Return each line as a paragraph of a class."""
-    shown = (html.escape(without_folders(line)) for line in lines)
-    return "".join(f'<p class="{kind}">{line}</p>' for line in shown)
+@cache
+def _templates() -> jinja2.Environment:
+    """Return the environment of the page: all text is escaped, and loses its folders."""
+    templates = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_PAGE),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=lambda value: without_folders(value) if type(value) is str else value,
+    )
+    templates.globals |= {"colour": colour, "counted": counted}
+    templates.tests["contains"] = lambda names, name: name in names
+    templates.filters |= {
+        "number": rows.number,
+        "bounds": rows.bounds,
+        "spread": rows.spread_in_words,
+        "level": rows.level_in_words,
+        "remarks": rows.remarks,
+    }
+    return templates
 
 
 def without_folders(text: str) -> str:
@@ -108,7 +165,7 @@ def _with_short_names(evaluation: Evaluation) -> Evaluation:
     return replace(evaluation, models=models)
 
 
-def _glossary(evaluation: Evaluation) -> Iterable[str]:
+def _glossary(evaluation: Evaluation) -> Iterator[str]:
     """Yield what a verdict's terms mean that no reader knows from elsewhere."""
     if any("reach" in model.verdict for model in evaluation.models):
         yield (
@@ -117,83 +174,167 @@ def _glossary(evaluation: Evaluation) -> Iterable[str]:
         )
 
 
-def _facts(evaluation: Evaluation) -> Iterable[str]:
-    model = evaluation.models[0]
-    recordings = len({clip.pair.stem for clip in model.clips})
+def _facts(evaluation: Evaluation) -> Iterator[str]:
     if evaluation.protocol:
         yield f"protocol {evaluation.protocol}"
-    yield counted(recordings, "recording")
+    yield counted(len({clip.pair.stem for clip in evaluation.models[0].clips}), "recording")
     yield evaluation.basis.rstrip(".")
     yield f"seed {evaluation.settings['seed']}"
 
 
-def _warnings(evaluation: Evaluation) -> Iterable[str]:
-    yield from (f"{warning}." for warning in interval_warnings(evaluation))
-    said: dict[str, list[str]] = {}  # several models may have the same note
-    for model in evaluation.models:
-        left_out = sum(item.what == "clip" for item in model.excluded)
-        if left_out:
-            note = f"left out: {counted(left_out, 'clip')}; the reasons are below"
-            said.setdefault(note, []).append(model.label)
-        for note in model.notes:
-            said.setdefault(note, []).append(model.label)
+def _warnings(evaluation: Evaluation) -> Iterator[str]:
+    yield from (f"{warning}." for warning in rows.interval_warnings(evaluation))
+
+    def notes(model: ModelResult) -> Iterator[str]:
+        if left_out := sum(item.what == "clip" for item in model.excluded):
+            yield f"left out: {counted(left_out, 'clip')}; the reasons are below"
+        yield from model.notes
+
+    several = len(evaluation.models) > 1
+    said = rows.by_text((note, model.label) for model in evaluation.models for note in notes(model))
     for note, labels in said.items():
-        yield f"{', '.join(labels)}: {note}." if len(evaluation.models) > 1 else f"{note}."
+        yield f"{', '.join(labels)}: {note}." if several else f"{note}."
 
 
-def _agreement_section(evaluation: Evaluation) -> str:
-    if evaluation.agreement is None:
-        return ""
-    notes = "<br>".join(html.escape(f"{note}.") for note in evaluation.agreement.notes)
-    table = "\n".join(agreement_lines(evaluation)).strip()
-    return section("Agreement with people", notes, f"<pre>{html.escape(table)}</pre>")
+@dataclass(frozen=True)
+class ScoreLine:
+    """Places on the line of a score, which all models share, in pixels.
+
+    Attributes:
+        low, high: values at both ends.
+    """
+
+    low: float
+    high: float
+    WIDTH, MARGIN = 260, 6
+
+    @classmethod
+    def of(cls, results: Sequence[MetricResult]) -> ScoreLine:
+        """Return the line on which all models' scores and levels have a place."""
+        levels = [level for result in results for level in result.levels]
+        ends = [level.value + sign * (level.spread or 0.0) for level in levels for sign in (-1, 1)]
+        ends += [result.interval.value for result in results if result.informative]
+        return cls(min(0.0, *ends), max(1e-6, *ends)) if ends else cls(0.0, 1.0)
+
+    def width(self, difference: float) -> str:
+        """Return the length of a difference of values."""
+        return f"{(self.WIDTH - 2 * self.MARGIN) * difference / (self.high - self.low):.1f}"
+
+    def x(self, value: float, beside: float = 0.0) -> str:
+        """Return the place of a value, and of `beside` added to it."""
+        share = (value + beside - self.low) / (self.high - self.low)
+        return f"{self.MARGIN + (self.WIDTH - 2 * self.MARGIN) * share:.1f}"
 
 
-def _clips_section(shown: list[Shown], evaluation: Evaluation) -> str:
-    if not shown:
-        return ""
-    buttons = "".join(
-        f'<button type="button" aria-pressed="false">{html.escape(clip.label)}'
-        f"<small>{html.escape(clip.detail)}</small></button>"
-        for clip in shown
+class Question(NamedTuple):
+    """A column of the three questions: its heading, {label: score}, their line and the best."""
+
+    text: str
+    results: dict[str, MetricResult]
+    line: ScoreLine
+    has_intervals: bool
+    best: int | None
+
+
+def _questions(models: Sequence[ModelResult], headline: Sequence[rows.Row]) -> list[Question]:
+    """Return the questions that head the page; none without answers.
+
+    A broken motion has no scores there, and does not stretch the lines of the others.
+    """
+    best = {row.definition.key: row.best for row in headline}
+    answered = [model for model in models if model.answers]
+    questions = []
+    for answers in zip(*(model.answers for model in answered), strict=True):
+        key, states = answers[0].key, [answer.state for answer in answers]
+        asked = [m for m, state in zip(answered, states) if state != NOT_ASKED and key in m.metrics]
+        results = {model.label: model.metrics[key] for model in asked}
+        bare = all(result.interval.low is None for result in results.values())
+        line = ScoreLine.of([*results.values()])
+        questions.append(Question(answers[0].question, results, line, not bare, best.get(key)))
+    return questions
+
+
+class RecordingTable(NamedTuple):
+    """Table of the patch metrics by recording: (recording, index of the model, {key: mean})."""
+
+    definitions: list[Definition]
+    rows: list[tuple[str, int, dict[str, Interval]]]
+
+
+def _by_recording(evaluation: Evaluation) -> RecordingTable:
+    """Return the means over samples of each recording (eq. 18); no rows without samples."""
+    models = {i: m for i, m in enumerate(evaluation.models) if m.by_recording}
+    tables = [values for model in models.values() for values in model.by_recording.values()]
+    sampled = any(interval.n > 1 for values in tables for interval in values.values())
+    if not sampled and evaluation.protocol != "multires":
+        return RecordingTable([], [])
+    patches = [d for d in evaluation.definitions() if d.group == PATCHES]
+    stems = sorted({stem for model in models.values() for stem in model.by_recording})
+    return RecordingTable(
+        [d for d in patches if any(d.key in values for values in tables)],
+        [(s, i, model.by_recording.get(s, {})) for s in stems for i, model in models.items()],
     )
-    first = html.escape(evaluation.models[0].label)
-    lead = (
-        f"The best and the worst clips of {first} by {html.escape(shown[0].ranked_by)}, beside "
-        "their recordings and with the recordings' sound where it was given. "
-        + ("" if not any(clip.is_cut for clip in shown) else f"The first {SECONDS:g} s of each. ")
-    )
-    return section(
-        "Generated and recorded, side by side",
-        lead,
-        f'<div id="clips-bar">{buttons}</div><iframe id="player" title="Player"></iframe>',
-    )
 
 
-def _definitions_section(evaluation: Evaluation, command: str | None) -> str:
-    items = "".join(
-        f"<dt>{html.escape(d.name)} <code>{d.key}</code></dt><dd>{html.escape(d.text)}"
-        + ("<br><span class=bound>Bound to its frame rate.</span>" if d.fps_bound else "")
-        + f"<br><small>{html.escape(d.variant)} · {html.escape(d.source)}</small></dd>"
-        for d in evaluation.definitions()
-    )
-    settings = html.escape(json.dumps(evaluation.settings, ensure_ascii=False))
-    made = f"<p>Made by <code>{html.escape(command)}</code></p>" if command else ""
-    return section(
-        "Definitions and settings",
-        "",
-        f"{made}<p>Settings: <code>{settings}</code></p>"
-        f"<details><summary>What each figure is</summary><dl>{items}</dl></details>",
-    )
+@dataclass(frozen=True)
+class Shown:
+    """A clip to show.
+
+    Attributes:
+        label: text of its button.
+        detail: text below: the value it is ranked by.
+        title: heading of the player.
+        ranked_by: name of the metric.
+        motion: JSON for the player.
+        is_cut: True if the clip is longer than what is shown.
+    """
+
+    label: str
+    detail: str
+    title: str
+    ranked_by: str
+    motion: str
+    is_cut: bool = False
 
 
-def _scripts(shown: list[Shown]) -> str:
-    if not shown:
-        return ""
-    clips = [{"title": html.escape(c.title), "motion": c.motion} for c in shown]
-    script = (_HERE / "clips.js").read_text(encoding="utf-8")
-    return (
-        f'<script type="application/json" id="shell">{script_json(player_shell())}</script>'
-        f'<script type="application/json" id="clips">{script_json(clips)}</script>'
-        f"<script>{script}</script>"
-    )
+def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Shown]:
+    """Return best and worst clips of the first model, with other models' clips of the same name.
+
+    Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.drawn_body`.
+    """
+    clips = evaluation.models[0].clips
+    key = next((k for k in shown_in("ranking") if all(k in c.metrics for c in clips)), None)
+    if key is None:
+        return []
+    definition = DEFINITIONS[key]
+    ranked = sorted(clips, key=lambda c: c.metrics[key], reverse=definition.better == "higher")
+    each = min(EACH, max(1, len(ranked) // 2))
+    ends = [("Best", ranked[:each]), ("Worst", ranked[::-1][:each] if len(ranked) > 1 else [])]
+    shown = []
+    for end, at, clip in ((end, at, clip) for end, some in ends for at, clip in enumerate(some)):
+        label = f"{end}, {at + 1}" if at else end
+        try:
+            data = _player_data(evaluation, clip, body)
+        except (GestureKitError, AudioFeaturesError, OSError):
+            continue
+        detail = f"{clip.pair.name}: {definition.name.lower()} {clip.metrics[key]:.2f}"
+        title, cut = f"{label}: {clip.pair.name}", clip.seconds > SECONDS
+        shown.append(Shown(label, detail, title, definition.name, data, cut))
+    return shown
+
+
+def _player_data(evaluation: Evaluation, clip: ClipResult, body: str | None) -> str:
+    """Return the JSON of the player: all models' clips of one name, the recording, its sound."""
+    motions: dict[str, Motion] = {}
+    for model in evaluation.models:
+        same = next((other for other in model.clips if other.pair.name == clip.pair.name), None)
+        if same is not None:
+            motions[model.label] = load_clip(same.pair, evaluation.fps).generated
+    motions["recording"] = load_clip(clip.pair, evaluation.fps).recording
+    motions = {label: m[: round(SECONDS * m.fps)] for label, m in motions.items()}
+    wave = None
+    if clip.pair.audio is not None:
+        start = (clip.pair.window or 0) * WINDOW_SECONDS
+        wave = load_wave(clip.pair.audio).slice(start, min(SECONDS, clip.seconds))
+    colours = {m.label: colour(i) for i, m in enumerate(evaluation.models)}
+    return player_data(motions, wave, colours={**colours, "recording": RECORDING}, body=body)

@@ -1,22 +1,19 @@
-"""Plots of the report, as SVG: one colour per model, the recording dark, chance grey."""
+"""Plots of reports, as SVG: one colour per model, the recording dark, chance grey."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import matplotlib
 import matplotlib.figure
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.lines import Line2D
 
-from gesturekit.evaluation.definitions import (
-    DEFINITIONS,
-    PATCHES,
-    definitions_of,
-    shown_in,
-)
-from gesturekit.evaluation.report.svg import new_figure, svg_text
+from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES, definitions_of, shown_in
 from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 
 MODEL_COLOURS = (
@@ -26,6 +23,7 @@ MODEL_COLOURS = (
 RECORDING = "#26303b"
 CHANCE = "#aab4be"
 _SOFT, _LINE = "#6b7785", "#d5dae0"
+WIDTH = 10.4  # inches; a page shows it 1040 pixels wide
 
 _DASHED: dict[str, Any] = {"color": RECORDING, "lw": 1.4, "ls": "--"}
 _OF_CHANCE: dict[str, Any] = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
@@ -36,6 +34,8 @@ _BELOW: dict[str, Any] = dict(loc="outside lower center", ncols=4, frameon=False
 
 _LEAST_RATIO = 0.01
 _MOST_RECORDINGS = 24
+Ends = tuple[float, float, float]
+"""A value, and the ends of its interval."""
 
 
 def colour(index: int) -> str:
@@ -45,71 +45,51 @@ def colour(index: int) -> str:
 
 def all_plots(evaluation: Evaluation) -> dict[str, str]:
     """Return {title: SVG text} of all plots that have data."""
-    made = {
-        "Speech: measured, by chance, and the recording's own": _speech(evaluation),
-        "Movement, as a ratio to the recording": _ratios(evaluation),
+    plots = {
+        "Speech: measured, by chance, and the recording's own": _speech(evaluation.models),
+        "Movement, as a ratio to the recording": _ratios(evaluation.models),
         "Wrist speed": _wrists(evaluation),
         "Joint speeds": _histograms(evaluation),
-        "Patches, recording by recording": _patches(evaluation),
+        "Patches, recording by recording": _patches(evaluation.models),
     }
-    return {title: svg for title, svg in made.items() if svg is not None}
+    return {name: svg_text(made, _LINE, _SOFT) for name, made in plots.items() if made is not None}
 
 
-def _speech(evaluation: Evaluation) -> str | None:
-    keys = [d.key for d in definitions_of("sound")]
-    keys = [key for key in keys if any(key in m.metrics for m in evaluation.models)]
+def _speech(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
+    keys = [d.key for d in definitions_of("sound") if any(d.key in m.metrics for m in models)]
     if not keys:
         return None
-    labels = [model.label for model in evaluation.models]
     figure = new_figure(2.9)
     for axes, key in zip(np.atleast_1d(figure.subplots(1, len(keys))), keys, strict=True):
-        recordings = []
-        for i, model in enumerate(evaluation.models):
-            found = model.metrics.get(key)
-            if found is None:
-                continue
-            _error_bar(axes, i, _ends(found.interval), colour(i), vertical=True)
-            for value, marker in ((found.chance, "_"), (found.mismatched, "x")):
+        results = {i: m.metrics[key] for i, m in enumerate(models) if key in m.metrics}
+        for i, result in results.items():
+            _error_bar(axes, i, _ends(result.interval), colour(i), vertical=True)
+            for value, marker in ((result.chance, "_"), (result.mismatched, "x")):
                 if value is not None:
                     axes.plot([i], [value], marker=marker, **_OF_CHANCE)
-            recordings.append(found.recording)
-        known = [value for value in recordings if value is not None]
-        if known:
-            axes.axhline(known[0], **_DASHED)
-        axes.set_xticks(range(len(labels)), labels)
-        axes.set_xlim(-0.6, len(labels) - 0.4)
+        own = [r.recording for r in results.values() if r.recording is not None]
+        if own:
+            axes.axhline(own[0], **_DASHED)
+        axes.set_xticks(range(len(models)), [model.label for model in models])
+        axes.set_xlim(-0.6, len(models) - 0.4)
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
         axes.set_ylabel("Pearson's r" if key == "sync" else "score, 0 to 1")
         _title(axes, DEFINITIONS[key].name)
-    handles = [
-        Line2D([], [], **_DASHED),
-        Line2D([], [], marker="_", **_OF_CHANCE),
-        Line2D([], [], marker="x", **_OF_CHANCE),
-    ]
+    looks = (_DASHED, {"marker": "_", **_OF_CHANCE}, {"marker": "x", **_OF_CHANCE})
     names = ["the recording's own", "chance: sound shifted", "sound of other recordings"]
-    figure.legend(handles, names, **_BELOW)
-    return svg_text(figure, _LINE, _SOFT)
+    figure.legend([Line2D([], [], **look) for look in looks], names, **_BELOW)
+    return figure
 
 
-def _ratios(evaluation: Evaluation) -> str | None:
-    keys = [
-        key
-        for key in shown_in("ratios")
-        if any(_ratio(model, key) is not None for model in evaluation.models)
-    ]
+def _ratios(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
+    keys = [key for key in shown_in("ratios") if any(_ratio(m, key) is not None for m in models)]
     if not keys:
         return None
-    models = evaluation.models
     figure = new_figure(0.9 + 0.36 * len(keys) * max(1.0, 0.6 * len(models)))
     axes = figure.subplots()
-    step = 0.7 / len(models)
-    for row, key in enumerate(keys):
-        for i, model in enumerate(models):
-            ratio = _ratio(model, key)
-            if ratio is None:
-                continue
-            y = row + (i - (len(models) - 1) / 2) * step
-            _error_bar(axes, y, ratio, colour(i), vertical=False)
+    inks = {i: colour(i) for i in range(len(models))}
+    titles = [DEFINITIONS[key].title for key in keys]
+    _rows(axes, titles, inks, lambda row, i: _ratio(models[i], keys[row]), 0.7)
     axes.axvline(1.0, **_DASHED)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
@@ -118,25 +98,23 @@ def _ratios(evaluation: Evaluation) -> str | None:
     ticks = sorted(ticks | {0.5, 1, 2})
     axes.set_xticks(ticks, [f"{t:g}×" for t in ticks])
     axes.minorticks_off()
-    axes.set_yticks(range(len(keys)), [DEFINITIONS[key].title for key in keys])
-    axes.set_ylim(len(keys) - 0.5, -0.5)
     axes.set_xlabel(
         "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
     )
     axes.grid(axis="x", color=_LINE)
-    _legend(figure, {model.label: colour(i) for i, model in enumerate(models)})
-    return svg_text(figure, _LINE, _SOFT)
+    _legend(figure, {model.label: inks[i] for i, model in enumerate(models)})
+    return figure
 
 
-def _ratio(model: ModelResult, key: str) -> tuple[float, float, float] | None:
-    found = model.metrics.get(key)
-    if found is None or not found.recording:
+def _ratio(model: ModelResult, key: str) -> Ends | None:
+    result = model.metrics.get(key)
+    if result is None or not result.recording:
         return None
-    ratio, low, high = (value / found.recording for value in _ends(found.interval))
+    ratio, low, high = (value / result.recording for value in _ends(result.interval))
     return None if ratio < _LEAST_RATIO else (ratio, max(low, _LEAST_RATIO), high)
 
 
-def _wrists(evaluation: Evaluation) -> str | None:
+def _wrists(evaluation: Evaluation) -> matplotlib.figure.Figure | None:
     sets = [("recording", evaluation.recorded_wrists, RECORDING)]
     sets += [(m.label, m.wrists, colour(i)) for i, m in enumerate(evaluation.models)]
     sets = [entry for entry in sets if len(entry[1]) and np.ptp(entry[1])]
@@ -151,9 +129,8 @@ def _wrists(evaluation: Evaluation) -> str | None:
         widths=0.8,
         showextrema=False,
     )
-    for body, (_, _, ink) in zip(parts["bodies"], sets, strict=True):
+    for x, (body, (_, values, ink)) in enumerate(zip(parts["bodies"], sets, strict=True)):
         body.set(facecolor=ink, edgecolor=ink, alpha=0.35, linewidth=1.2)
-    for x, (_, values, ink) in enumerate(sets):
         low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
         axes.plot([x, x], [low, high], color=ink, lw=6, solid_capstyle="butt")
         axes.plot([x], [middle], "o", color="white", mec=ink, mew=1.6, ms=7)
@@ -161,10 +138,10 @@ def _wrists(evaluation: Evaluation) -> str | None:
     axes.set_ylabel("wrist speed, m/s")
     axes.set_ylim(0, top)
     axes.grid(axis="y", color=_LINE)
-    return svg_text(figure, _LINE, _SOFT)
+    return figure
 
 
-def _histograms(evaluation: Evaluation) -> str | None:
+def _histograms(evaluation: Evaluation) -> matplotlib.figure.Figure | None:
     sets = [(m.label, m.speeds, colour(i), "-") for i, m in enumerate(evaluation.models)]
     # Last, so that it lies on top of a model that is like it.
     sets += [("recording", evaluation.recorded_speeds, RECORDING, "--")]
@@ -183,31 +160,28 @@ def _histograms(evaluation: Evaluation) -> str | None:
     axes.set_ylabel("share of values, %")
     axes.legend(frameon=False, fontsize=9)
     axes.grid(axis="y", color=_LINE)
-    return svg_text(figure, _LINE, _SOFT)
+    return figure
 
 
-def _patches(evaluation: Evaluation) -> str | None:
-    keys = [d.key for d in definitions_of("comparison") if d.group == PATCHES]
-    models = [model for model in evaluation.models if model.by_recording]
-    inks = {m.label: colour(i) for i, m in enumerate(evaluation.models) if m.by_recording}
-    stems = sorted({stem for model in models for stem in model.by_recording})
-    keys = tuple(k for k in keys if any(k in model.metrics for model in models))
-    if len(stems) < 2 or not keys:
+def _patches(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
+    sampled = {i: m.by_recording for i, m in enumerate(models) if m.by_recording}
+    inks = {i: colour(i) for i in sampled}
+    stems = sorted({stem for by_recording in sampled.values() for stem in by_recording})
+    patches = [d for d in definitions_of("comparison") if d.group == PATCHES]
+    patches = [d for d in patches if any(d.key in models[i].metrics for i in sampled)]
+    if len(stems) < 2 or not patches:
         return None
     stems = stems[:_MOST_RECORDINGS]
-    figure = new_figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(models)))
-    step = 0.6 / len(models)
-    for number, axes in enumerate(figure.subplots(1, len(keys), sharey=True, squeeze=False)[0]):
-        key = keys[number]
-        for i, model in enumerate(models):
-            for row, stem in enumerate(stems):
-                interval = model.by_recording.get(stem, {}).get(key)
-                if interval is not None:
-                    y = row + (i - (len(models) - 1) / 2) * step
-                    _error_bar(axes, y, _ends(interval), inks[model.label], vertical=False)
-        axes.set_yticks(range(len(stems)), [_short(stem) for stem in stems])
-        axes.set_ylim(len(stems) - 0.5, -0.5)
-        if DEFINITIONS[key].unit == "%":
+    figure = new_figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(sampled)))
+    columns = figure.subplots(1, len(patches), sharey=True, squeeze=False)[0]
+    for axes, definition in zip(columns, patches, strict=True):
+
+        def ends(row: int, i: int, key: str = definition.key) -> Ends | None:
+            interval = sampled[i].get(stems[row], {}).get(key)
+            return None if interval is None else _ends(interval)
+
+        _rows(axes, [shortened(stem, 26) for stem in stems], inks, ends, 0.6)
+        if definition.unit == "%":
             axes.set_xlim(-4, 104)
             axes.set_xlabel("% of windows")
         else:
@@ -215,20 +189,43 @@ def _patches(evaluation: Evaluation) -> str | None:
             axes.set_xlim(-0.03 * right, right)
             axes.set_xlabel("mean distance of frames")
         axes.grid(color=_LINE)
-        _title(axes, DEFINITIONS[key].name)
-    _legend(figure, inks)
-    return svg_text(figure, _LINE, _SOFT)
+        _title(axes, definition.name)
+    _legend(figure, {models[i].label: ink for i, ink in inks.items()})
+    return figure
 
 
-def _ends(interval: Interval) -> tuple[float, float, float]:
+def _rows(
+    axes: Axes,
+    names: Sequence[str],
+    inks: Mapping[int, str],
+    ends: Callable[[int, int], Ends | None],
+    height: float,
+) -> None:
+    """Draw a horizontal error bar of each model in each row.
+
+    Args:
+        axes: where to draw.
+        names: of the rows.
+        inks: {index of a model: colour}.
+        ends: function of row and index of the model to its value and interval.
+        height: share of a row that its bars take.
+    """
+    for row in range(len(names)):
+        for place, (i, ink) in enumerate(inks.items()):
+            if (known := ends(row, i)) is not None:
+                y = row + (place - (len(inks) - 1) / 2) * height / len(inks)
+                _error_bar(axes, y, known, ink, vertical=False)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+
+
+def _ends(interval: Interval) -> Ends:
     """Return value, low and high; the value where there is no interval."""
     low = interval.value if interval.low is None else interval.low
     return interval.value, low, interval.value if interval.high is None else interval.high
 
 
-def _error_bar(
-    axes: Axes, at: float, ends: tuple[float, float, float], ink: str, vertical: bool
-) -> None:
+def _error_bar(axes: Axes, at: float, ends: Ends, ink: str, vertical: bool) -> None:
     value, *line = ends
     for along, across, look in ((line, [at, at], _BAR), ([value], [at], _DOT)):
         points = (across, along) if vertical else (along, across)
@@ -237,15 +234,46 @@ def _error_bar(
 
 def _legend(figure: matplotlib.figure.Figure, inks: Mapping[str, str]) -> None:
     """Add a legend of several models, {label: colour}."""
-    if len(inks) < 2:
-        return
-    handles = [Line2D([], [], color=ink, marker="o", **_BAR) for ink in inks.values()]
-    figure.legend(handles, [*inks], **_BELOW)
+    if len(inks) > 1:
+        handles = [Line2D([], [], color=ink, marker="o", **_BAR) for ink in inks.values()]
+        figure.legend(handles, [*inks], **_BELOW)
 
 
 def _title(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", fontsize=10.5, color=RECORDING)
 
 
-def _short(name: str, most: int = 26) -> str:
+def shortened(name: str, most: int) -> str:
+    """Return a name of at most so many characters."""
     return name if len(name) <= most else f"{name[: most - 1]}…"
+
+
+def new_figure(height: float) -> matplotlib.figure.Figure:
+    """Return an empty figure of the page's width and `height` inches."""
+    figure = matplotlib.figure.Figure(figsize=(WIDTH, height), layout="constrained")
+    FigureCanvasSVG(figure)
+    return figure
+
+
+def svg_text(figure: matplotlib.figure.Figure, line: str, label: str) -> str:
+    """Return a figure as SVG.
+
+    Args:
+        figure: its tick labels are shown as they are, without mathematics.
+        line: colour of axes.
+        label: colour of ticks and labels of axes.
+    """
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.spines[["left", "bottom"]].set_color(line)
+        axes.tick_params(colors=label, labelsize=9, length=3)
+        axes.xaxis.label.set(color=label, size=9.5)
+        axes.yaxis.label.set(color=label, size=9.5)
+        for text in (*axes.get_xticklabels(), *axes.get_yticklabels()):
+            text.set_parse_math(False)
+        axes.set_axisbelow(True)
+    made = io.StringIO()
+    # A fixed salt and no date: the same figures give the same bytes.
+    with matplotlib.rc_context({"svg.hashsalt": "gesturekit", "svg.fonttype": "path"}):
+        figure.savefig(made, format="svg", transparent=True, metadata={"Date": None})
+    return made.getvalue()

@@ -134,8 +134,11 @@ def _of_question(
         if np.ptp(metric) > 0:
             found = agreement_of(key, metric, np.array(drawn), scores, kept, seed)
             known = all(m.metrics[key].informative for m in models if key in m.metrics)
-            metrics.append(replace(found, informative=known))
-    metrics = _by_holm(metrics)
+            p = found.p_holm if known else None
+            metrics.append(replace(found, informative=known, p_holm=p))
+    tested = {one.key: one.p_holm for one in metrics if one.p_holm is not None}
+    adjusted = dict(zip(tested, holm(list(tested.values())).tolist(), strict=True))
+    metrics = [replace(one, p_holm=adjusted.get(one.key)) for one in metrics]
     return QuestionAgreement(
         question,
         dict(zip(scores.systems, scores.values.tolist(), strict=True)),
@@ -144,13 +147,6 @@ def _of_question(
         scores.ratings,
         tuple(sorted(metrics, key=lambda one: -one.kendall)),
     )
-
-
-def _by_holm(metrics: Sequence[MetricAgreement]) -> list[MetricAgreement]:
-    """Return metrics with p-values adjusted for all that are informative; none for the others."""
-    p = [one.p_holm if one.informative and one.p_holm is not None else np.nan for one in metrics]
-    adjusted = [None if np.isnan(value) else float(value) for value in holm(p)]
-    return [replace(one, p_holm=value) for one, value in zip(metrics, adjusted, strict=True)]
 
 
 def agreement_of(
@@ -176,30 +172,26 @@ def agreement_of(
     from scipy.stats import kendalltau, spearmanr
 
     people, n = scores.values[kept], len(kept)
-    tau, rho = (test(metric, people).statistic for test in (kendalltau, spearmanr))
     made = np.array([scores.systems[i] != RECORDING for i in kept])
-    of_models = p = None
+    of_models = p = low = high = None
     if made.sum() >= LEAST:
         test = kendalltau(metric[made], people[made])
         if not np.isnan(test.statistic):
             of_models, p = float(test.statistic), float(test.pvalue)
-    low = high = None
     if n >= LEAST_FOR_INTERVAL:
         low, high = _interval(drawn, scores.resampled[:, kept], seed)
-    one, other = np.triu_indices(n, 1)
-    certain = scores.differ[np.ix_(kept, kept)][one, other]
-    one, other = one[certain], other[certain]
-    same = np.sign(metric[one] - metric[other]) * np.sign(people[one] - people[other])
-    accuracy = float((0.5 + 0.5 * same).mean()) if len(same) else None
+    i, j = np.triu_indices(n, 1)
+    certain = scores.differ[np.ix_(kept, kept)][i, j]
+    same = (np.sign(metric[i] - metric[j]) * np.sign(people[i] - people[j]))[certain]
     return MetricAgreement(
         key,
-        float(tau),
+        float(kendalltau(metric, people).statistic),
         of_models,
         p,
         low,
         high,
-        float(rho),
-        accuracy,
+        float(spearmanr(metric, people).statistic),
+        float((0.5 + 0.5 * same).mean()) if len(same) else None,
         len(same),
         n,
         chance_range(n),
@@ -277,25 +269,24 @@ def _away(models: Sequence[ModelResult], key: str, seed: int) -> Mapping[str, np
     The first one is 0, and all are if a model has no value for each clip, or with fewer than `FEW`
     takes.
     """
-    sides = {m.label: [(clip, clip.metrics) for clip in m.clips] for m in models}
-    sides.setdefault(RECORDING, [(clip, clip.recording) for m in models[:1] for clip in m.clips])
+    sides = {m.label: [(clip.pair, clip.metrics) for clip in m.clips] for m in models}
+    first = models[0].clips if models else []
+    sides.setdefault(RECORDING, [(clip.pair, clip.recording) for clip in first])
     means: dict[str, dict[tuple[str, str], float]] = {}
     for label, clips in sides.items():
         takes: dict[tuple[str, str], list[float]] = {}
-        for clip, metrics in clips:
-            take = clip.pair.speaker or "", clip.pair.take
-            takes.setdefault(take, []).append(metrics.get(key, np.nan))
+        for pair, metrics in clips:
+            takes.setdefault((pair.speaker or "", pair.take), []).append(metrics.get(key, np.nan))
         means[label] = {take: float(np.mean(values)) for take, values in takes.items()}
     if np.isnan(list(means[RECORDING].values())).any():
         del means[RECORDING]
-    common = sorted(set.intersection(*(set(found) for found in means.values())))
+    common = sorted(set.intersection(*map(set, means.values())))
     table = {label: np.array([found[take] for take in common]) for label, found in means.items()}
-    none = np.zeros(1 + RESAMPLES)
-    if len(common) < FEW or any(np.isnan(values).any() for values in table.values()):
-        return defaultdict(lambda: none)
+    away: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(1 + RESAMPLES))
     n = len(common)
-    drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), RESAMPLES) / n
-    drawn = np.vstack([np.full(n, 1.0 / n), drawn])
-    return defaultdict(
-        lambda: none, {label: drawn @ values - values.mean() for label, values in table.items()}
-    )
+    if n >= FEW and not any(np.isnan(values).any() for values in table.values()):
+        shares = np.full(n, 1.0 / n)
+        drawn = np.random.default_rng(seed).multinomial(n, shares, RESAMPLES) / n
+        drawn = np.vstack([shares, drawn])
+        away |= {label: drawn @ values - values.mean() for label, values in table.items()}
+    return away

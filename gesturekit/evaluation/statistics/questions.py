@@ -12,7 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import ClipResult, Finding, Level, MetricResult, ModelResult
+from gesturekit.evaluation.results import (
+    NOT_ASKED,
+    ClipResult,
+    Finding,
+    Level,
+    MetricResult,
+    ModelResult,
+)
 from gesturekit.evaluation.statistics import thresholds
 from gesturekit.evaluation.statistics.groups import by_group
 from gesturekit.evaluation.statistics.intervals import (
@@ -68,7 +75,7 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
     if broken := defects(metrics):
         why = f"the motion is broken: {', '.join(broken)}."
         return [
-            Finding(question, key, "no", f"Not asked, as {why}")
+            Finding(question, key, NOT_ASKED, f"Not asked, as {why}")
             for question, key in ((IN_TIME, "in_time"), (LIKE, "likeness"), (NEW, "novelty"))
         ]
     found = [_timing(clips, metrics), _likeness(clips, metrics), _novelty(metrics)]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import matplotlib.figure
 import numpy as np
 
-from gesturekit.evaluation.report.svg import new_figure, svg_text
+from gesturekit.evaluation.report.plots import new_figure, svg_text
 from gesturekit.study.analysis.result import StudyResult
 from gesturekit.study.analysis.significance import Estimate
 

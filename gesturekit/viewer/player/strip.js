@@ -51,11 +51,14 @@ export class Strip {
       this.paintSpeech(c, 2, wave - 2);
       if (!isLow) this.paintSpectrum(c, wave, middle - 2);
     }
-    const top = Math.max(...page.figures.map((figure) => figure.speed.peak)) || 1;
+    // One broken figure, many times as fast as the others, may not flatten their curves: it is cut.
+    const peaks = page.figures.map((figure) => figure.speed.peak).sort((a, b) => a - b);
+    const top = Math.min(peaks.at(-1), 2 * peaks[(peaks.length - 1) >> 1] || Infinity) || 1;
     for (const figure of page.figures) this.paintSpeed(c, figure, top, middle + 2, ground);
     standing.forEach((figure, i) => this.paintContacts(c, figure, ground + 3 + 7 * i));
     if (page.speech) this.label(c, "speech", 11);
-    this.label(c, `${page.figures[0].speed.of}, up to ${speed(top)}`, middle + 13);
+    const cut = top < peaks.at(-1) ? "; faster motion is cut" : "";
+    this.label(c, `${page.figures[0].speed.of}, up to ${speed(top)}${cut}`, middle + 13);
     if (standing.length) this.label(c, "feet on the ground", ground - 1);
   }
 
@@ -142,7 +145,7 @@ export class Strip {
     c.moveTo(0, bottom);
     const n = values.length;
     for (let k = 0; k < n; k++) {
-      const y = bottom - (values[k] / 255) * (own / peak) * (bottom - top);
+      const y = bottom - Math.min(1, (values[k] / 255) * (own / peak)) * (bottom - top);
       c.lineTo(this.x(k / figure.fps), y);
     }
     c.strokeStyle = figure.ink;
