@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from gesturekit.evaluation.pairs import Excluded, Pair
 from gesturekit.wording import counted
 
 FORMAT = 1
+OTHER_SPEAKER = "another speaker"
+"""Name of the level that motion of other speakers gives."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,12 @@ class Level:
     Attributes:
         name: the motion, such as "another speaker".
         value: mean over takes.
-        spread: standard deviation over takes; None with a single one.
+        spread: standard deviation over takes, of a ceiling of likeness over sets of takes; None
+            with a single one.
         n: number of takes; 0 for a value by definition.
         pieces: True where pieces of one take stand for takes, which flatters a ceiling.
+        takes_compared: takes of each of the two disjoint sets that a ceiling of likeness compares.
+        aspects: {aspect of likeness: mean credit}, of a ceiling of likeness.
     """
 
     name: str
@@ -82,6 +87,8 @@ class Level:
     spread: float | None = None
     n: int = 1
     pieces: bool = False
+    takes_compared: int = 1
+    aspects: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -134,6 +141,20 @@ class MetricResult:
     informative: bool = True
     ceiling: Level | None = None
     floors: tuple[Level, ...] = ()
+
+    @property
+    def share_of_ceiling(self) -> Interval | None:
+        """Value and interval over the ceiling, taken as exact; None without a ceiling."""
+        if self.ceiling is None or self.ceiling.value <= 0.0:
+            return None
+        own, top = self.interval, self.ceiling.value
+        low, high = (bound if bound is None else bound / top for bound in (own.low, own.high))
+        return replace(own, value=own.value / top, low=low, high=high)
+
+    @property
+    def tested_against_speaker(self) -> bool:
+        """True if motion of another speaker is among the floors."""
+        return any(level.name == OTHER_SPEAKER for level in self.floors)
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> MetricResult:
@@ -379,6 +400,7 @@ def _model(model: ModelResult) -> dict[str, Any]:
                 "note": result.note,
                 "ceiling": result.ceiling and asdict(result.ceiling),
                 "floors": [asdict(level) for level in result.floors],
+                "share_of_ceiling": result.share_of_ceiling and asdict(result.share_of_ceiling),
             }
             for key, result in model.metrics.items()
         },

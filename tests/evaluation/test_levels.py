@@ -18,7 +18,8 @@ from gesturekit.evaluation import (
     evaluate,
     metric_results,
 )
-from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, OTHER_SPEAKER, reached_floor
+from gesturekit.evaluation.results import OTHER_SPEAKER
+from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, reached_floor
 
 
 def show(shared_data: Path, speaker: str) -> list[Item]:

@@ -17,7 +17,7 @@ from gesturekit.evaluation.measuring.speakers import (
     TRAINING_SECONDS,
     SpeakerClips,
     TrainingMotion,
-    backwards,
+    changed_windows,
     own_windows,
 )
 from gesturekit.evaluation.metrics.frame_rate import at_rate
@@ -36,8 +36,8 @@ from gesturekit.evaluation.metrics.hands import (
 from gesturekit.evaluation.metrics.two_sample import (
     LOW_QUANTILE,
     MotionWindows,
-    forward_votes,
     motion_windows,
+    nearer_votes,
     nearest_training,
     subsample,
     two_sample_votes,
@@ -116,7 +116,7 @@ class PooledMetrics:
         for names, compute in (
             (HAND_KEYS, self._hands),
             (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
-            (["one_nn", "within_reach", "forward"], self._windows),
+            (["one_nn", "within_reach", "forward", "sided"], self._windows),
             (["copying", "copying_low"], self._copying),
             (["calibration", "seed_spread", "sharpness"], self._calibration),
         ):
@@ -248,23 +248,26 @@ class PooledMetrics:
         return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
 
     def _windows(self) -> dict[str, MetricResult]:
-        votes, ahead, reached = [], [], []
+        votes, reached = [], []
+        nearer: dict[str, list[np.ndarray]] = {"forward": [], "sided": []}
         for group in self._groups:
             joints, recorded = group.joints, group.recorded
-            ours, theirs = (motion_windows(m, joints) for m in (group.generated, recorded))
-            back = motion_windows([backwards(motion) for motion in recorded], joints)
+            ours = motion_windows(group.generated, joints)
+            theirs, back, turned = changed_windows(recorded, joints)
             right, drawn = two_sample_votes(ours, theirs, seed=self.seed)
             votes.append((right.sum(), drawn.sum()))
             self._vote(group, right, drawn, ours, theirs)
-            ahead.append(100.0 * forward_votes(ours, theirs, back))
-            self._keep("forward", _clip_means(group.clips[ours.clips], ahead[-1]))
+            for key, changed in (("forward", back), ("sided", turned)):
+                shares = 100.0 * nearer_votes(ours, theirs, changed)
+                nearer[key].append(shares)
+                self._keep(key, _clip_means(group.clips[ours.clips], shares))
             reached.append((len(theirs), 100.0 * within_reach(ours, theirs, seed=self.seed)))
         right, drawn = np.sum(votes, axis=0)
         windows, reach = np.transpose(reached)
         values = {
             "one_nn": float(right / drawn),
             "within_reach": float(np.average(reach, weights=windows)),
-            "forward": float(np.concatenate(ahead).mean()),
+            **{key: float(np.concatenate(shares).mean()) for key, shares in nearer.items()},
         }
         own, note = self._once("windows", self._own_windows)
         return {key: self._result(key, value, own.get(key), note) for key, value in values.items()}

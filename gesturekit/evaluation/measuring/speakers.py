@@ -13,8 +13,9 @@ from gesturekit.evaluation.measuring.clips import load_recording
 from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.metrics.hands import FPS
 from gesturekit.evaluation.metrics.two_sample import (
-    forward_votes,
+    MotionWindows,
     motion_windows,
+    nearer_votes,
     two_sample_accuracy,
     within_reach,
 )
@@ -144,29 +145,41 @@ def own_windows(
     others: Sequence[Motion],
     joints: Sequence[str],
     seed: int,
-    reach: bool = True,
 ) -> dict[str, float]:
-    """Return 1-NN accuracy, direction of time and share within reach of recordings.
+    """Return 1-NN accuracy, direction of time, side and share within reach of recordings.
 
     Args:
         held: held-out recordings, judged as if they had been generated.
         others: the recordings that they are compared with.
         joints: upper-body joints to compare.
         seed: seed of subsamples.
-        reach: False leaves out the share within reach, which needs longer recordings.
 
     Raises:
         MotionError: recordings that are too short, or lack a joint.
     """
-    mine, theirs = motion_windows(held, joints), motion_windows(others, joints)
-    back = motion_windows([backwards(motion) for motion in others], joints)
-    values = {
+    mine, (theirs, back, turned) = motion_windows(held, joints), changed_windows(others, joints)
+    return {
         "one_nn": two_sample_accuracy(theirs, mine, seed=seed),
-        "forward": 100.0 * float(forward_votes(mine, theirs, back).mean()),
+        "forward": 100.0 * float(nearer_votes(mine, theirs, back).mean()),
+        "sided": 100.0 * float(nearer_votes(mine, theirs, turned).mean()),
+        "within_reach": 100.0 * within_reach(theirs, mine, seed=seed),
     }
-    if reach:
-        values["within_reach"] = 100.0 * within_reach(theirs, mine, seed=seed)
-    return values
+
+
+def changed_windows(
+    recorded: Sequence[Motion], joints: Sequence[str]
+) -> tuple[MotionWindows, MotionWindows, MotionWindows]:
+    """Return the windows of recordings as they are, played backwards, and mirrored.
+
+    Raises:
+        MotionError: recordings that are too short, or lack a joint.
+    """
+    back = [backwards(motion) for motion in recorded]
+    return (
+        motion_windows(list(recorded), joints),
+        motion_windows(back, joints),
+        motion_windows(list(recorded), joints, mirrored=True),
+    )
 
 
 def backwards(motion: Motion) -> Motion:

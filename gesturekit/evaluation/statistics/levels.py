@@ -14,9 +14,8 @@ import numpy as np
 from gesturekit.evaluation.results import ClipResult, Level, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import LEVEL, Takes
 
-CEILING, OTHER_SPEAKER, MEAN_POSE, OTHER_UTTERANCE = (
+CEILING, MEAN_POSE, OTHER_UTTERANCE = (
     "the speaker's other takes",
-    "another speaker",
     "mean pose",
     "another utterance",
 )

@@ -12,7 +12,7 @@ from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import ClipResult, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, scaled_like
 from gesturekit.evaluation.statistics.levels import TRAINING, with_timing_levels
-from gesturekit.evaluation.statistics.questions import likeness_result, own_one_nn
+from gesturekit.evaluation.statistics.questions import likeness_result
 from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
 
 SYNC_SECONDS = 0.4
@@ -73,7 +73,7 @@ def metric_results(
         found["cca"] = replace(cca, informative=False)
     if "in_time" in found:
         found["in_time"] = with_timing_levels(found["in_time"], clips)
-    like = likeness_result(clips, own_one_nn(found), levels)
+    like = likeness_result(clips, levels)
     return found if like is None else {**found, "likeness": like}
 
 

@@ -28,7 +28,7 @@ from gesturekit.evaluation.statistics.intervals import (
     standard_error,
 )
 from gesturekit.evaluation.statistics.likeness import MEASURES
-from gesturekit.evaluation.statistics.questions import likeness_of, own_one_nn
+from gesturekit.evaluation.statistics.questions import likeness_of
 
 NEARER = 0.75
 """Smallest confidence with which the best model must be nearer to the recordings."""
@@ -172,7 +172,7 @@ def _take_values(
     if takes.count < FEW:  # not tested
         return np.zeros(takes.count), np.zeros(takes.count), takes
     if key == "likeness":
-        ours = pseudo_values(likeness_of(clips, own_one_nn(model.metrics)), takes.count)
+        ours = pseudo_values(likeness_of(clips), takes.count)
         return ours, 1.0 - ours, takes
     ours = takes.means([clip.metrics[key] for clip in clips])
     theirs = np.full(len(ours), model.metrics[key].recording)

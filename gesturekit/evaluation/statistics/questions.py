@@ -31,6 +31,7 @@ from gesturekit.evaluation.statistics.levels import (
 from gesturekit.evaluation.statistics.likeness import (
     ASPECTS,
     MEASURES,
+    TWO_SAMPLE,
     credits,
     likeness,
 )
@@ -42,7 +43,7 @@ IN_TIME, LIKE, NEW = (
     "Is it new?",
 )
 UNANSWERABLE = "cannot be answered"
-OTHER_TAKES = "take against the speaker's others"
+OTHER_TAKES = "sets of the speaker's takes against other sets"
 Results = Mapping[str, MetricResult]
 
 
@@ -108,44 +109,34 @@ def _no_room(result: MetricResult) -> str:
 
 
 def likeness_result(
-    clips: Sequence[ClipResult], own_one_nn: float, levels: Mapping[str, Level]
+    clips: Sequence[ClipResult], levels: Mapping[str, Level]
 ) -> MetricResult | None:
     """Return the likeness of a model's clips with its interval over takes.
 
     Args:
         clips: the clips.
-        own_one_nn: 1-NN accuracy of the recordings among each other.
         levels: ceiling and floors by name, see `statistics.levels`.
     """
-    measure = likeness_of(clips, own_one_nn)
+    measure = likeness_of(clips)
     takes = Takes.of([clip.pair for clip in clips])
     value = float(measure(np.full((1, takes.count), 1 / takes.count))[0])
     if np.isnan(value):
         return None
-    enough = takes.count >= FEW
+    # Where credits saturate, the spread of takes says nothing.
+    enough = takes.count >= FEW and value < thresholds.SATURATED
     units = pseudo_values(measure, takes.count) if enough else np.full(takes.count, value)
     interval = interval_about(value, units, takes, DEFINITIONS["likeness"].within)
     ceiling = levels.get(CEILING)
     floors = tuple(level for name, level in levels.items() if name != CEILING)
     if ceiling is None:
         return MetricResult("likeness", interval, floors=floors)
-    compared = "piece of one take against the others" if ceiling.pieces else OTHER_TAKES
-    note = f"recording: each {compared}"
+    note = f"recording: {'pieces of one take' if ceiling.pieces else OTHER_TAKES}"
     return MetricResult(
         "likeness", interval, ceiling.value, note=note, ceiling=ceiling, floors=floors
     )
 
 
-def own_one_nn(metrics: Results) -> float:
-    """Return the 1-NN accuracy of the recordings among each other, or its usual value."""
-    result = metrics.get("one_nn")
-    known = None if result is None else result.recording
-    return thresholds.USUAL_ONE_NN if known is None else known
-
-
-def likeness_of(
-    clips: Sequence[ClipResult], own_one_nn: float
-) -> Callable[[np.ndarray], np.ndarray]:
+def likeness_of(clips: Sequence[ClipResult]) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,).
 
     Each group of clips (`groups_of`) is compared with its own recordings; groups are averaged with
@@ -157,7 +148,7 @@ def likeness_of(
         total, shares = np.zeros(len(weights)), np.zeros(len(weights))
         for group in groups:
             share = weights @ group.sum(axis=1)
-            found = likeness(*_means(clips, weights @ group), own_one_nn)
+            found = likeness(*_means(clips, weights @ group))
             if found is not None:
                 total += np.where(share > 0.0, share * np.nan_to_num(found), 0.0)
                 shares += share
@@ -166,11 +157,11 @@ def likeness_of(
     return measured
 
 
-def likeness_by_group(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
+def likeness_by_group(clips: Sequence[ClipResult]) -> dict[str, float]:
     """Return {group of `groups_of`: likeness} of the groups that can be compared."""
     found = {}
     for name, group in by_group([clip.pair for clip in clips]).items():
-        value = likeness(*_means(clips, group.sum(axis=0)[None]), own_one_nn)
+        value = likeness(*_means(clips, group.sum(axis=0)[None]))
         if value is not None:
             found[name] = float(value[0])
     return found
@@ -274,30 +265,43 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
         return Finding(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
     if not result.informative:
         return _cannot_be_answered(LIKE, "likeness", _no_room(result))
-    found = _aspects(clips, own_one_nn(metrics))
-    missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
+    found = _aspects(clips)
+    ceiling = result.ceiling
+    usual = {} if ceiling is None else ceiling.aspects
+    unusual = [
+        aspect
+        for aspect, credit in found.items()
+        if credit < thresholds.NAMED_ASPECT * usual.get(aspect, 1.0)
+    ]
+    missed = [
+        aspect
+        for aspect, credit in found.items()
+        if aspect in unusual or (aspect not in TWO_SAMPLE and credit < thresholds.NAMED_ASPECT)
+    ]
     missed.sort(key=found.__getitem__)
     differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
-    differs += _speakers(clips, own_one_nn(metrics))
-    value = result.interval.value
-    if on_its_floor(result):
-        return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
-    top = 1.0 if result.recording is None else min(1.0, result.recording)
-    if value >= min(thresholds.LIKE, top) and not missed:
-        return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{differs}.")
-    if value >= thresholds.PARTLY_LIKE * top:
-        much = "mostly" if value >= min(thresholds.LIKE, top) else "somewhat"
+    differs += _speakers(clips)
+    if not result.tested_against_speaker:
+        differs += "; not tested against another speaker"
+    value, top = result.interval.value, 1.0 if ceiling is None else ceiling.value
+    share = value / top if top > 0.0 else 0.0
+    known = on_its_floor(result) is None and len(unusual) < thresholds.MANY_ASPECTS
+    if known and share >= thresholds.PARTLY_LIKE and value >= thresholds.LEAST_PARTLY_LIKE:
+        near = share >= thresholds.LIKE and value >= thresholds.LEAST_LIKE
+        if near and not missed:
+            return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{differs}.")
+        much = "mostly" if near and not unusual else "somewhat"
         return Finding(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
     return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
 
 
-def _aspects(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
+def _aspects(clips: Sequence[ClipResult]) -> dict[str, float]:
     """Return the credit of each aspect, averaged over groups as `likeness_of` does."""
     takes = Takes.of([clip.pair for clip in clips]).count
     found: dict[str, list[tuple[float, float]]] = {}
     for group in by_group([clip.pair for clip in clips]).values():
         weights = group.sum(axis=0)[None] / takes
-        for aspect, credit in credits(*_means(clips, weights), own_one_nn).items():
+        for aspect, credit in credits(*_means(clips, weights)).items():
             found.setdefault(aspect, []).append((weights.sum(), float(credit[0])))
     return {
         aspect: sum(share * credit for share, credit in known) / sum(share for share, _ in known)
@@ -305,9 +309,9 @@ def _aspects(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]
     }
 
 
-def _speakers(clips: Sequence[ClipResult], own_one_nn: float) -> str:
+def _speakers(clips: Sequence[ClipResult]) -> str:
     """Return the likeness of each speaker in words, if they differ; else ""."""
-    found = likeness_by_group(clips, own_one_nn)
+    found = likeness_by_group(clips)
     if max(found.values()) - min(found.values()) < thresholds.SPEAKERS_DIFFER:
         return ""
     each = [f"{name or 'unnamed'} {value:.2f}" for name, value in found.items()]

@@ -24,20 +24,24 @@ SHAKEN = 5.0
 
 FULL_CREDIT, NO_CREDIT = 1.25, 2.5
 """Ratio of two values up to which an aspect of likeness has the credit 1, and from which 0."""
-USUAL_ONE_NN = 0.6
-"""1-NN accuracy with full credit: that between recordings of one speaker."""
 FORWARD = 30.0
 """Percentage of windows that are nearest to motion played forwards, above which the credit is 1."""
-LIKE, PARTLY_LIKE = 0.85, 0.6
-"""Likeness for yes; and for partly, relative to that of the speaker's other recordings."""
-MOST_ONE_NN = 0.9
-"""1-NN accuracy with full credit, at most: nearer to 1, its differences say nothing."""
+SIDED = (30.0, 50.0)
+"""Percentage of windows that are nearer to recordings than to mirrored ones, up to which the credit
+is 0, and from which 1."""
+LIKE, PARTLY_LIKE = 0.9, 0.6
+"""Share of the ceiling, the likeness of other recordings of the speaker, for yes and for partly."""
+LEAST_LIKE, LEAST_PARTLY_LIKE = 0.6, 0.4
+"""Likeness for yes and for partly, at least, whatever the ceiling is."""
 LEAST_IN_STYLE = 3
 """Recordings of each style of a speaker from which styles are compared one by one."""
 SPEAKERS_DIFFER = 0.2
 """Difference of likeness between speakers from which they are named."""
 NAMED_ASPECT = 0.6
-"""Credit of an aspect below which it is named."""
+"""Credit of an aspect of movement below which it is named; and share of the ceiling's credit below
+which any aspect is unusual for the speaker."""
+MANY_ASPECTS = 3
+"""Unusual aspects from which a motion is not like the speaker."""
 SATURATED = 0.99
 """CCA of one recording with another above which the metric cannot tell motions apart: clips with
 few frames and many joints."""
