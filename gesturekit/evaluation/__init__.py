@@ -112,8 +112,6 @@ __all__, __getattr__, __dir__ = attach(
         "interval_of_statistic": "statistics.intervals",
         "interval_over_samples": "statistics.intervals",
         "interval_warnings": "report.headline",
-        "likeness_by_group": "statistics.questions",
-        "likeness_of": "statistics.questions",
         "load_clip": "measuring.clips",
         "low_passed": "metrics.physical",
         "metric_results": "statistics.model_metrics",

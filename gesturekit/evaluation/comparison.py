@@ -48,7 +48,6 @@ from gesturekit.evaluation.results import (
     ClipResult,
     Evaluation,
     Interval,
-    Level,
     ModelResult,
 )
 from gesturekit.evaluation.statistics.intervals import interval_over_samples
@@ -74,8 +73,6 @@ MULTIRES_LENGTH = 2.0
 """Samples of each training sequence, and their length relative to the sequence."""
 LDA_SAMPLES = 3
 """Samples of each 10 s window."""
-OfRecordings = tuple[Mapping[str, tuple[Interval, str]], Mapping[str, Level]]
-"""Ceilings of metrics, and the levels of likeness: see `Measurer`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,8 +175,7 @@ def evaluate(
     measurer = _measurer(found, statistics, compared, reference, fps, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
     places = {label: folders.get(label, Path(label)) for label in found}
-    known = measurer.ceilings(), measurer.likeness_levels()
-    models = [_model(k, places[k], pairs, measured, known, chosen) for k, pairs in found.items()]
+    models = [_model(k, places[k], pairs, measured, measurer, chosen) for k, pairs in found.items()]
     _judge(models, reference, chosen.protocol)
     first = measured.sets[models[0].label]["pooled"]
     unread = [Excluded(**item) for item in first.get("training_excluded", ())]
@@ -309,7 +305,7 @@ def _model(
     path: Path,
     found: Pairs,
     measured: Measured,
-    known: OfRecordings,
+    measurer: Measurer,
     options: EvaluationOptions,
 ) -> ModelResult:
     """Return the results of a model, from the measurements of its clips and of their set.
@@ -331,7 +327,7 @@ def _model(
     if not result.clips:
         reasons = "; ".join(item.reason for item in result.excluded[:3])
         raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
-    _summarise(result, sets, known, options)
+    _summarise(result, sets, measurer, options)
     for part in sets.values():
         for key, reason in part["problems"]:
             problems.setdefault((key, reason), []).append("the whole set")
@@ -344,11 +340,12 @@ def _model(
 def _summarise(
     result: ModelResult,
     sets: Mapping[str, Mapping[str, Any]],
-    known: OfRecordings,
+    measurer: Measurer,
     options: EvaluationOptions,
 ) -> None:
     groups = _groups(options)
-    result.metrics = metric_results(result.clips, sets, *known)
+    likeness = measurer.likeness(result.label, result.clips)
+    result.metrics = metric_results(result.clips, sets, measurer.ceilings, likeness)
     if POOLED in groups:
         result.verdict = verdict(result.metrics)
     if PATCHES in groups:

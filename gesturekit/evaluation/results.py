@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -78,8 +78,6 @@ class Level:
             with a single one.
         n: number of takes; 0 for a value by definition.
         pieces: True where pieces of one take stand for takes, which flatters a ceiling.
-        takes_compared: takes of each of the two disjoint sets that a ceiling of likeness compares.
-        aspects: {aspect of likeness: mean credit}, of a ceiling of likeness.
     """
 
     name: str
@@ -87,8 +85,31 @@ class Level:
     spread: float | None = None
     n: int = 1
     pieces: bool = False
-    takes_compared: int = 1
-    aspects: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class GroupLikeness:
+    """Likeness of a model to one speaker, or one style of a speaker; see `statistics.likeness`.
+
+    Attributes:
+        name: the group, of `statistics.groups`.
+        takes: names of the takes that the model has clips of.
+        value: likeness, 0 to 1: the model's score over the speaker's own.
+        own: the speaker's own score, 0 to 1.
+        aspects: {aspect: credit over the speaker's own, at most 1}.
+        without: {take: likeness without it}; empty with a single take.
+        without_reference: likeness without each of the takes that these are compared with.
+        pieces: True where clips, or pieces of one, stand for takes.
+    """
+
+    name: str
+    takes: tuple[str, ...]
+    value: float
+    own: float
+    aspects: Mapping[str, float]
+    without: Mapping[str, float] = field(default_factory=dict)
+    without_reference: tuple[float, ...] = ()
+    pieces: bool = False
 
 
 @dataclass
@@ -129,6 +150,7 @@ class MetricResult:
             recordings.
         ceiling: value of the speaker's other takes; of the three questions only.
         floors: values of motion that should fail; of the three questions only.
+        groups: likeness by speaker and style; of likeness only.
     """
 
     key: str
@@ -141,15 +163,7 @@ class MetricResult:
     informative: bool = True
     ceiling: Level | None = None
     floors: tuple[Level, ...] = ()
-
-    @property
-    def share_of_ceiling(self) -> Interval | None:
-        """Value and interval over the ceiling, taken as exact; None without a ceiling."""
-        if self.ceiling is None or self.ceiling.value <= 0.0:
-            return None
-        own, top = self.interval, self.ceiling.value
-        low, high = (bound if bound is None else bound / top for bound in (own.low, own.high))
-        return replace(own, value=own.value / top, low=low, high=high)
+    groups: tuple[GroupLikeness, ...] = ()
 
     @property
     def tested_against_speaker(self) -> bool:
@@ -161,7 +175,8 @@ class MetricResult:
         """Return the result that `dataclasses.asdict` described."""
         kinds = {"interval": Interval, "recording_interval": Interval, "ceiling": Level}
         found = {k: kinds[k](**v) if k in kinds and v else v for k, v in values.items()}
-        return cls(**{**found, "floors": tuple(Level(**v) for v in values.get("floors", ()))})
+        several = (("floors", Level), ("groups", GroupLikeness))
+        return cls(**found | {k: tuple(of(**v) for v in values.get(k, ())) for k, of in several})
 
 
 @dataclass(frozen=True)
@@ -400,7 +415,7 @@ def _model(model: ModelResult) -> dict[str, Any]:
                 "note": result.note,
                 "ceiling": result.ceiling and asdict(result.ceiling),
                 "floors": [asdict(level) for level in result.floors],
-                "share_of_ceiling": result.share_of_ceiling and asdict(result.share_of_ceiling),
+                "groups": [asdict(group) for group in result.groups],
             }
             for key, result in model.metrics.items()
         },

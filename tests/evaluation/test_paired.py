@@ -45,7 +45,7 @@ def model(label: str, clips: list[ClipResult]) -> ModelResult:
 
 def metrics_of(clips: list[ClipResult], pooled: dict | None = None) -> dict[str, MetricResult]:
     sets = {"pooled": {"metrics": pooled or {}}, "frechet": {"metrics": {}}}
-    return metric_results(clips, sets, {}, {})
+    return metric_results(clips, sets, {})
 
 
 def two_models(

@@ -158,12 +158,22 @@ def bounds_of(
         speakers: (R,) number of each take's speaker, from 0.
         within: the bounds of the metric.
     """
+    error = standard_error(values, speakers, within)
+    return None if error is None else bounds_about(value, *error, within)
+
+
+def bounds_about(
+    value: float, error: float, free: int, within: tuple[float, float] = ANY
+) -> tuple[float, float] | None:
+    """Return the 95 % interval of a value with a standard error of `free` degrees of freedom.
+
+    None for a value at a bound of its metric.
+    """
     from scipy.stats import t
 
-    error = standard_error(values, speakers, within)
-    if error is None or not within[0] < value < within[1]:
+    if not within[0] < value < within[1]:
         return None
-    half = t.ppf(0.5 + LEVEL / 2, error[1]) * error[0] * _slope(value, within)
+    half = t.ppf(0.5 + LEVEL / 2, free) * error * _slope(value, within)
     at = _scale(value, within)
     return _unscale(at - half, within), _unscale(at + half, within)
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import ClipResult, Interval, Level, MetricResult
+from gesturekit.evaluation.results import ClipResult, GroupLikeness, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, scaled_like
 from gesturekit.evaluation.statistics.levels import TRAINING, with_timing_levels
-from gesturekit.evaluation.statistics.questions import likeness_result
+from gesturekit.evaluation.statistics.likeness import likeness_result
 from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
 
 SYNC_SECONDS = 0.4
@@ -26,7 +26,7 @@ def metric_results(
     clips: Sequence[ClipResult],
     sets: Mapping[str, Mapping[str, Any]],
     ceilings: Mapping[str, tuple[Interval, str]],
-    levels: Mapping[str, Level],
+    likeness: tuple[Sequence[GroupLikeness], Mapping[str, Level]] = ((), {}),
 ) -> dict[str, MetricResult]:
     """Return {key of `definitions`: result}.
 
@@ -34,7 +34,7 @@ def metric_results(
         clips: the clips of a model; measures that compare windows of all clips are added to them.
         sets: {part: metrics of the set}, see `measuring.measurer`.
         ceilings: the recordings' own values, see `measuring.ceilings`.
-        levels: ceiling and floors of likeness, see `measuring.levels`.
+        likeness: by group, with ceiling and floors, see `measuring.likeness`.
     """
     for clip, values in zip(clips, sets["pooled"].get("by_clip", ())):
         clip.metrics |= values
@@ -73,7 +73,7 @@ def metric_results(
         found["cca"] = replace(cca, informative=False)
     if "in_time" in found:
         found["in_time"] = with_timing_levels(found["in_time"], clips)
-    like = likeness_result(clips, levels)
+    like = likeness_result(*likeness, len(clips))
     return found if like is None else {**found, "likeness": like}
 
 

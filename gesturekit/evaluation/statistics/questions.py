@@ -6,7 +6,7 @@ speech." All thresholds are in `thresholds`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,27 +14,14 @@ import numpy as np
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import ClipResult, Finding, Level, MetricResult, ModelResult
 from gesturekit.evaluation.statistics import thresholds
-from gesturekit.evaluation.statistics.groups import by_group
-from gesturekit.evaluation.statistics.intervals import (
-    FEW,
-    Takes,
-    interval_about,
-    pseudo_values,
-)
+from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.levels import (
-    CEILING,
     add_blind_floors,
     level_text,
     on_its_floor,
     reached_floor,
 )
-from gesturekit.evaluation.statistics.likeness import (
-    ASPECTS,
-    MEASURES,
-    TWO_SAMPLE,
-    credits,
-    likeness,
-)
+from gesturekit.evaluation.statistics.likeness import ASPECTS, aspects_of
 from gesturekit.wording import listed
 
 IN_TIME, LIKE, NEW = (
@@ -43,7 +30,6 @@ IN_TIME, LIKE, NEW = (
     "Is it new?",
 )
 UNANSWERABLE = "cannot be answered"
-OTHER_TAKES = "sets of the speaker's takes against other sets"
 Results = Mapping[str, MetricResult]
 
 
@@ -72,7 +58,7 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
             Finding(question, key, "no", f"Not asked, as {why}")
             for question, key in ((IN_TIME, "in_time"), (LIKE, "likeness"), (NEW, "novelty"))
         ]
-    found = [_timing(clips, metrics), _likeness(clips, metrics), _novelty(metrics)]
+    found = [_timing(clips, metrics), _likeness(metrics), _novelty(metrics)]
     return [_on_its_line(finding, metrics.get(finding.key)) for finding in found]
 
 
@@ -106,87 +92,6 @@ def _no_room(result: MetricResult) -> str:
         return ""
     ceiling = level_text(result.ceiling)
     return f"the floor, {level_text(floor)}, is not surely below the ceiling, {ceiling}."
-
-
-def likeness_result(
-    clips: Sequence[ClipResult], levels: Mapping[str, Level]
-) -> MetricResult | None:
-    """Return the likeness of a model's clips with its interval over takes.
-
-    Args:
-        clips: the clips.
-        levels: ceiling and floors by name, see `statistics.levels`.
-    """
-    measure = likeness_of(clips)
-    takes = Takes.of([clip.pair for clip in clips])
-    value = float(measure(np.full((1, takes.count), 1 / takes.count))[0])
-    if np.isnan(value):
-        return None
-    # Where credits saturate, the spread of takes says nothing.
-    enough = takes.count >= FEW and value < thresholds.SATURATED
-    units = pseudo_values(measure, takes.count) if enough else np.full(takes.count, value)
-    interval = interval_about(value, units, takes, DEFINITIONS["likeness"].within)
-    ceiling = levels.get(CEILING)
-    floors = tuple(level for name, level in levels.items() if name != CEILING)
-    if ceiling is None:
-        return MetricResult("likeness", interval, floors=floors)
-    note = f"recording: {'pieces of one take' if ceiling.pieces else OTHER_TAKES}"
-    return MetricResult(
-        "likeness", interval, ceiling.value, note=note, ceiling=ceiling, floors=floors
-    )
-
-
-def likeness_of(clips: Sequence[ClipResult]) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,).
-
-    Each group of clips (`groups_of`) is compared with its own recordings; groups are averaged with
-    the weights of their takes.
-    """
-    groups = by_group([clip.pair for clip in clips]).values()
-
-    def measured(weights: np.ndarray) -> np.ndarray:
-        total, shares = np.zeros(len(weights)), np.zeros(len(weights))
-        for group in groups:
-            share = weights @ group.sum(axis=1)
-            found = likeness(*_means(clips, weights @ group))
-            if found is not None:
-                total += np.where(share > 0.0, share * np.nan_to_num(found), 0.0)
-                shares += share
-        return np.divide(total, shares, out=np.full(len(weights), np.nan), where=shares > 0.0)
-
-    return measured
-
-
-def likeness_by_group(clips: Sequence[ClipResult]) -> dict[str, float]:
-    """Return {group of `groups_of`: likeness} of the groups that can be compared."""
-    found = {}
-    for name, group in by_group([clip.pair for clip in clips]).items():
-        value = likeness(*_means(clips, group.sum(axis=0)[None]))
-        if value is not None:
-            found[name] = float(value[0])
-    return found
-
-
-def _means(
-    clips: Sequence[ClipResult], weights: np.ndarray
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return {measure: (B,) means over clips} of the model and of the recordings.
-
-    Args:
-        clips: n clips.
-        weights: (B, n) their weights. A measure that a clip with a weight lacks is left out.
-    """
-    counts = np.asarray(weights.any(axis=0))
-    total = np.maximum(weights.sum(axis=1), 1e-12)
-
-    def means(sides: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
-        return {
-            key: weights @ np.array([side.get(key, 0.0) for side in sides]) / total
-            for key in MEASURES
-            if all(key in side for side, known in zip(sides, counts) if known)
-        }
-
-    return means([clip.metrics for clip in clips]), means([clip.recording for clip in clips])
 
 
 def defects(metrics: Results) -> list[str]:
@@ -259,60 +164,39 @@ def _above_chance(metrics: Results) -> bool:
     return sds is not None and sds.interval.value >= thresholds.ABOVE_CHANCE
 
 
-def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+def _likeness(metrics: Results) -> Finding:
     result = metrics.get("likeness")
     if result is None:
-        return Finding(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
+        text = "Not measured: no body parts to compare, or fewer than three clips of the speaker."
+        return Finding(LIKE, "likeness", "not measured", text)
     if not result.informative:
-        return _cannot_be_answered(LIKE, "likeness", _no_room(result))
-    found = _aspects(clips)
-    ceiling = result.ceiling
-    usual = {} if ceiling is None else ceiling.aspects
-    unusual = [
-        aspect
-        for aspect, credit in found.items()
-        if credit < thresholds.NAMED_ASPECT * usual.get(aspect, 1.0)
-    ]
-    missed = [
-        aspect
-        for aspect, credit in found.items()
-        if aspect in unusual or (aspect not in TWO_SAMPLE and credit < thresholds.NAMED_ASPECT)
-    ]
-    missed.sort(key=found.__getitem__)
+        few = "takes of this speaker are too unlike one another, or too short, to compare with."
+        return _cannot_be_answered(LIKE, "likeness", _no_room(result) or few)
+    value, ceiling = result.interval.value, result.ceiling
+    wanted = thresholds.LEAST_LIKE
+    if ceiling is not None:
+        usual = ceiling.value - thresholds.LIKE_SPREADS * (ceiling.spread or 0.0)
+        wanted = max(wanted, usual)
+    untested = "" if result.tested_against_speaker else "; not tested against another speaker"
+    if value >= wanted and on_its_floor(result) is None:
+        return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{untested}.")
+    aspects = aspects_of(result.groups)
+    missed = sorted(
+        (a for a in aspects if aspects[a] < thresholds.NAMED_ASPECT), key=aspects.__getitem__
+    )
     differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
-    differs += _speakers(clips)
-    if not result.tested_against_speaker:
-        differs += "; not tested against another speaker"
-    value, top = result.interval.value, 1.0 if ceiling is None else ceiling.value
-    share = value / top if top > 0.0 else 0.0
-    known = on_its_floor(result) is None and len(unusual) < thresholds.MANY_ASPECTS
-    if known and share >= thresholds.PARTLY_LIKE and value >= thresholds.LEAST_PARTLY_LIKE:
-        near = share >= thresholds.LIKE and value >= thresholds.LEAST_LIKE
-        if near and not missed:
-            return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{differs}.")
-        much = "mostly" if near and not unusual else "somewhat"
-        return Finding(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
+    differs += _speakers(result) + untested
+    if value >= thresholds.LEAST_PARTLY_LIKE and on_its_floor(result) is None:
+        return Finding(LIKE, "likeness", "partly", f"Moves somewhat like this speaker{differs}.")
     return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
 
 
-def _aspects(clips: Sequence[ClipResult]) -> dict[str, float]:
-    """Return the credit of each aspect, averaged over groups as `likeness_of` does."""
-    takes = Takes.of([clip.pair for clip in clips]).count
-    found: dict[str, list[tuple[float, float]]] = {}
-    for group in by_group([clip.pair for clip in clips]).values():
-        weights = group.sum(axis=0)[None] / takes
-        for aspect, credit in credits(*_means(clips, weights)).items():
-            found.setdefault(aspect, []).append((weights.sum(), float(credit[0])))
-    return {
-        aspect: sum(share * credit for share, credit in known) / sum(share for share, _ in known)
-        for aspect, known in found.items()
-    }
-
-
-def _speakers(clips: Sequence[ClipResult]) -> str:
-    """Return the likeness of each speaker in words, if they differ; else ""."""
-    found = likeness_by_group(clips)
-    if max(found.values()) - min(found.values()) < thresholds.SPEAKERS_DIFFER:
+def _speakers(result: MetricResult) -> str:
+    """Return the likeness to each speaker in words, if they differ; else ""."""
+    found = {group.name: group.value for group in result.groups}
+    if max(found.values(), default=0.0) - min(found.values(), default=0.0) < (
+        thresholds.SPEAKERS_DIFFER
+    ):
         return ""
     each = [f"{name or 'unnamed'} {value:.2f}" for name, value in found.items()]
     return f"; it differs between speakers: {listed(each, 6)}"

@@ -29,19 +29,19 @@ FORWARD = 30.0
 SIDED = (30.0, 50.0)
 """Percentage of windows that are nearer to recordings than to mirrored ones, up to which the credit
 is 0, and from which 1."""
-LIKE, PARTLY_LIKE = 0.9, 0.6
-"""Share of the ceiling, the likeness of other recordings of the speaker, for yes and for partly."""
-LEAST_LIKE, LEAST_PARTLY_LIKE = 0.6, 0.4
-"""Likeness for yes and for partly, at least, whatever the ceiling is."""
+LEAST_CREDIT = 0.05
+"""Credit that an aspect counts at least, in a geometric mean."""
+LEAST_OWN = 0.2
+"""Score of the speaker's own takes below which likeness to them cannot be asked for."""
+LIKE_SPREADS, LEAST_LIKE, LEAST_PARTLY_LIKE = 1.64, 0.7, 0.6
+"""Likeness for yes: that of other takes of the speaker less this many of its standard deviations
+(1 in 20 takes is below), and this value at least; for partly, at least."""
 LEAST_IN_STYLE = 3
 """Recordings of each style of a speaker from which styles are compared one by one."""
 SPEAKERS_DIFFER = 0.2
 """Difference of likeness between speakers from which they are named."""
 NAMED_ASPECT = 0.6
-"""Credit of an aspect of movement below which it is named; and share of the ceiling's credit below
-which any aspect is unusual for the speaker."""
-MANY_ASPECTS = 3
-"""Unusual aspects from which a motion is not like the speaker."""
+"""Credit of an aspect, over the speaker's own, below which it is named."""
 SATURATED = 0.99
 """CCA of one recording with another above which the metric cannot tell motions apart: clips with
 few frames and many joints."""
