@@ -181,10 +181,16 @@ def copied_arms(source: Source) -> Motion:
 
 def warped(source: Source) -> Motion:
     """Play training motion at a speed that follows the loudness."""
+    motion = source.training
     speed = 0.4 + 1.6 * _loudness(source)
-    speed *= (source.motion.n_frames - 1) / speed[1:].sum()
-    at = np.concatenate([[0.0], np.cumsum(speed[1:])])
-    return _frames(source.training, np.clip(np.round(at), 0, len(at) - 1).astype(int))
+    speed *= (motion.n_frames - 1) / speed[1:].sum()
+    at = np.clip(np.concatenate([[0.0], np.cumsum(speed[1:])]), 0, motion.n_frames - 1)
+    before = np.minimum(at.astype(int), motion.n_frames - 2)
+    first, second = _frames(motion, before), _frames(motion, before + 1)
+    share = np.tile((at - before)[:, None], (1, motion.skeleton.n_joints))
+    place = first.translation + share[:, :1] * (second.translation - first.translation)
+    rotations = slerp(first.rotations, second.rotations, share)
+    return replace(first, rotations=rotations, translation=place)
 
 
 def broken(source: Source) -> Motion:

@@ -77,6 +77,12 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
     for value, state in ((0.4, "yes"), (0.2, "partly"), (0.05, "no"), (0.9, "partly")):
         found = states(clips(), in_time=result("in_time", value, 0.4))
         assert found["in_time"][0] == state, value
+    # Its own chance level: 3 standard errors of sqrt(.4 / 10) of each of three clips, .346 in all.
+    for above, state in ((0.4, "yes"), (0.3, "no")):
+        metrics = {"sync": 0.1 + above, "sync_chance": 0.1, "sync_z": above / 0.05}
+        made = [replace(clip, metrics=metrics) for clip in clips()]
+        timed = {"in_time": result("in_time", above, 0.4), "sync": result("sync", 0.5, 0.5)}
+        assert states(made, **timed)["in_time"][0] == state
     # Recordings that say nothing: the model is asked alone, by its own interval or deviations.
     unsure = result("in_time", 0.9, 0.4, informative=False)
     state, sentence = states(clips(), in_time=unsure)["in_time"]
@@ -107,21 +113,41 @@ def test_the_aspects_that_differ_are_named_where_a_motion_is_not_like_the_speake
 
 def test_copies_are_named():
     for value, state, word in ((0.1, "no", "copied"), (0.7, "no", "lively"), (1.0, "yes", "new")):
-        copied = result("novelty", value, 1.0, note="recording: against the training split")
+        copied = result("novelty", value, 1.0)
         found = states(clips(), novelty=copied)["novelty"]
         assert found[0] == state and word in found[1].lower() and "training" in found[1]
     copied = result("novelty", 442.0, 1.0, informative=False)
     assert states(clips(), novelty=copied)["novelty"][0] == "cannot be answered"
-    low = result("copying_low", 0.1, 0.3)
-    found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
+    new, low = result("novelty", 1.0, 1.0), result("copying_low", 0.1, 0.3)
+    found = states(clips(), novelty=new, copying_low=low)
     assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]
+    for degrees, state in ((4.0, "no"), (9.0, "yes")):
+        arms = {"copying_left": result("copying_left", degrees, 10.0),
+                "copying_right": result("copying_right", 9.0, 10.0)}  # fmt: skip
+        found = states(clips(), novelty=new, **arms)["novelty"]
+        assert found[0] == state and ("left arm" in found[1]) == (state == "no")
+        assert "right arm" not in found[1]
+
+
+def test_whether_motion_is_new_is_not_asked_without_training_motion_each_with_its_reason():
+    windows, new = result("one_nn", 0.7, 0.7), result("novelty", 1.0, 1.0)
+    trained = [replace(c, pair=replace(c.pair, reference=ItemInterval(Said("a"))))
+               for c in clips()]  # fmt: skip
+    for made, metrics, reason in (
+        (clips(), {"one_nn": windows}, "training split"),
+        (clips(), {}, "too short"),
+        (trained, {"one_nn": windows}, "trained on"),
+        (clips(), {"novelty": new, "near_still": result("near_still", 97.0, 10.0)}, "hardly move"),
+    ):
+        state, sentence = states(made, **metrics)["novelty"]
+        assert state in ("not measured", "cannot be answered") and reason in sentence
 
 
 class Said:
     """An item that names a speaker and a style."""
 
     def __init__(self, speaker: str, style: str | None = None) -> None:
-        self.speaker, self.style, self.take = speaker, style, ""
+        self.speaker, self.style, self.take, self.split = speaker, style, "", "train"
 
 
 def spoken_by(speaker: str, stem: str, style: str | None = None) -> Pair:

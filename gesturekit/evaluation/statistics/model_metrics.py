@@ -66,7 +66,7 @@ def metric_results(
         )
         found["copying"] = replace(copying, ceiling=None)
     for metric, keys in _OF_SPEECH.items():
-        if metric in found and not informative(clips, metric):
+        if metric in found and not above_chance(clips, metric):
             found |= {k: replace(found[k], informative=False) for k in keys if k in found}
     cca = found.get("cca")
     if cca is not None and cca.recording is not None and cca.recording > SATURATED:
@@ -77,16 +77,19 @@ def metric_results(
     return found if like is None else {**found, "likeness": like}
 
 
-def informative(clips: Sequence[ClipResult], metric: str) -> bool:
-    """Return whether the recordings' own sync (BAS, BC) is above its chance level.
+def above_chance(clips: Sequence[ClipResult], metric: str, *, of_recordings: bool = True) -> bool:
+    """Return whether sync (BAS, BC) of the recordings, or of the model, is above its chance level.
 
     Its values over circular shifts of the sound give the level and its standard deviation; both
-    are pooled over recordings.
+    are pooled over recordings, of samples of which the first is taken.
     """
-    own = {(clip.pair.stem, clip.pair.window): clip for clip in clips}
+    first: dict[tuple[str, int | None], ClipResult] = {}
+    for clip in clips:
+        first.setdefault((clip.pair.stem, clip.pair.window), clip)
     above, variance = [], []
-    for clip in own.values():
-        value, level, z = (clip.recording.get(metric + end) for end in ("", "_chance", "_z"))
+    for clip in first.values():
+        values = clip.recording if of_recordings else clip.metrics
+        value, level, z = (values.get(metric + end) for end in ("", "_chance", "_z"))
         if value is None or level is None or z is None:
             continue
         deviation = (value - level) / z if z else 0.0

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.metrics.arms import ARM_KEYS
 from gesturekit.evaluation.results import ClipResult, Finding, Level, MetricResult, ModelResult
 from gesturekit.evaluation.statistics import thresholds
 from gesturekit.evaluation.statistics.intervals import Takes
@@ -22,6 +23,7 @@ from gesturekit.evaluation.statistics.levels import (
     reached_floor,
 )
 from gesturekit.evaluation.statistics.likeness import ASPECTS, aspects_of
+from gesturekit.evaluation.statistics.model_metrics import above_chance
 from gesturekit.wording import listed
 
 IN_TIME, LIKE, NEW = (
@@ -58,7 +60,7 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
             Finding(question, key, "no", f"Not asked, as {why}")
             for question, key in ((IN_TIME, "in_time"), (LIKE, "likeness"), (NEW, "novelty"))
         ]
-    found = [_timing(clips, metrics), _likeness(metrics), _novelty(metrics)]
+    found = [_timing(clips, metrics), _likeness(metrics), _novelty(clips, metrics)]
     return [_on_its_line(finding, metrics.get(finding.key)) for finding in found]
 
 
@@ -128,8 +130,11 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> Finding:
         return _timing_without_recordings(clips, metrics)
     low = result.interval.low
     share = result.interval.value / result.recording
-    beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
-    if share < thresholds.LOOSELY_IN_TIME or beyond or on_its_floor(result):
+    if low is None:
+        lucky = "sync" in metrics and not above_chance(clips, "sync", of_recordings=False)
+    else:
+        lucky = low <= 0.0 and share < thresholds.IN_TIME
+    if share < thresholds.LOOSELY_IN_TIME or lucky or on_its_floor(result):
         return Finding(IN_TIME, "in_time", "no", "Not in time with the speech.")
     if share < thresholds.IN_TIME:
         return Finding(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
@@ -202,33 +207,44 @@ def _speakers(result: MetricResult) -> str:
     return f"; it differs between speakers: {listed(each, 6)}"
 
 
-def _novelty(metrics: Results) -> Finding:
-    result, low = metrics.get("novelty"), metrics.get("copying_low")
+def _novelty(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+    result, still = metrics.get("novelty"), metrics.get("near_still")
+    if still is not None and still.interval.value >= thresholds.MOTIONLESS:
+        text = "the hands hardly move, and what does not move is near to any motion."
+        return _cannot_be_answered(NEW, "novelty", text)
     if result is None:
-        text = "Not measured: the clips are too short, or the rig's arms and legs are not known."
-        return Finding(NEW, "novelty", "not measured", text)
-    among = "training motion" if "training split" in result.note else "the recordings"
+        splits = {getattr(getattr(c.pair.reference, "item", None), "split", "") for c in clips}
+        text = "the clips are too short, or the rig's arms and legs are not known."
+        if splits == {"train"}:
+            text = "these are the recordings that the model was trained on; evaluate others."
+        elif "one_nn" in metrics:
+            text = "no training motion is given; name a manifest that has a training split."
+        return Finding(NEW, "novelty", "not measured", f"Not asked: {text}")
     if not result.informative:
         text = (
-            f"the recordings themselves are the same as {among}, or do not move. Look for one "
-            "recording in two splits."
+            "the recordings themselves are the same as training motion, or do not move. Look for "
+            "one recording in two splits."
         )
         return _cannot_be_answered(NEW, "novelty", text)
-    now_and_then = low is not None and low.recording and (
-        low.interval.value < thresholds.OCCASIONALLY_COPIED * low.recording
-    )  # fmt: skip
+    ratios = {f"the {side} arm": _ratio(metrics, key) for side, key in ARM_KEYS.items()}
+    arms = [arm for arm, ratio in ratios.items() if ratio is not None and ratio < thresholds.COPIED]
+    seeds = _seeds(metrics)
     if result.interval.value < thresholds.COPIED:
-        return Finding(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(metrics)}.")
+        return Finding(NEW, "novelty", "no", f"Mostly copied from training motion{seeds}.")
+    if arms:
+        text = f"Mostly copied from training motion: {' and '.join(arms)}{seeds}."
+        return Finding(NEW, "novelty", "no", text)
     if result.interval.value < thresholds.NEAR:
-        text = f"Nearer to {among} than other recordings are: partly copied, or less lively"
-        return Finding(NEW, "novelty", "no", f"{text}{_seeds(metrics)}.")
-    if now_and_then:
-        text = f"New, but occasionally copied from {among}{_seeds(metrics)}."
+        text = "Nearer to training motion than other recordings are: partly copied, or less lively"
+        return Finding(NEW, "novelty", "no", f"{text}{seeds}.")
+    lowest = _ratio(metrics, "copying_low")
+    if lowest is not None and lowest < thresholds.OCCASIONALLY_COPIED:
+        text = f"New, but occasionally copied from training motion{seeds}."
         return Finding(NEW, "novelty", "partly", text)
-    text = f"New: as far from {among} as other recordings"
+    text = "New: as far from training motion as other recordings"
     if _is_above(result.interval.value, result.ceiling):
-        text = f"New: farther from {among} than other recordings, as odd motion is too"
-    return Finding(NEW, "novelty", "yes", f"{text}{_seeds(metrics)}.")
+        text = "New: farther from training motion than other recordings, as odd motion is too"
+    return Finding(NEW, "novelty", "yes", f"{text}{seeds}.")
 
 
 def _seeds(metrics: Results) -> str:
