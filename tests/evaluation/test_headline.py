@@ -210,7 +210,8 @@ def test_a_score_is_placed_between_its_floor_and_its_ceiling():
     for value, state in ((0.71, "yes"), (0.69, "partly"), (0.59, "no")):
         like = result("likeness", value, 1.0, ceiling=own)
         assert states(clips(), likeness=like)["likeness"][0] == state
-    high = result("likeness", 0.3, 1.0, informative=False, floors=floors, ceiling=floors[1])
+    other = (Level("another speaker", 0.95, None, 1),)
+    high = result("likeness", 0.3, 1.0, informative=False, floors=other, ceiling=ceiling)
     state, sentence = states(clips(), likeness=high)["likeness"]
     assert state == "cannot be answered" and "floor" in sentence and "ceiling" in sentence
 

@@ -1,6 +1,7 @@
 """Floors and ceilings of the three questions: who scores like whom."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -94,7 +95,7 @@ def test_another_speaker_stands_at_the_floor_and_other_takes_at_the_ceiling(two_
 
 def result(value: float, ceiling: Level | None, *floors: Level) -> MetricResult:
     interval = Interval(value, None, None, 3, 3, "takes")
-    return MetricResult("likeness", interval, ceiling=ceiling, floors=floors)
+    return MetricResult("in_time", interval, ceiling=ceiling, floors=floors)
 
 
 def test_a_floor_differs_from_the_ceiling_by_a_t_test_over_takes():
@@ -109,6 +110,12 @@ def test_a_floor_differs_from_the_ceiling_by_a_t_test_over_takes():
     assert reached_floor(result(0.7, Level(CEILING, 0.5), Level("one", 0.4))) is None
     assert reached_floor(result(0.7, Level(CEILING, 0.5), Level("one", 0.5))) is not None
     assert reached_floor(result(0.7, None, Level("one", 0.4))) is None
+    # The least likeness of a motion like the speaker is .8 - 1.64 · .05 = .718.
+    for floor, below in ((0.71, True), (0.72, False)):
+        like = replace(
+            result(0.7, Level(CEILING, 0.8, 0.05, 3), Level("one", floor)), key="likeness"
+        )
+        assert (reached_floor(like) is None) == below
 
 
 def test_models_that_ignore_the_speech_are_floors_of_the_others():

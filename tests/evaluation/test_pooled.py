@@ -318,9 +318,9 @@ def test_copies_are_measured_against_the_training_split(talker, tmp_path):
     assert "copied" in model.verdict and "training" in found["copying"].note
 
 
-def test_an_arm_is_copied_from_another_place_or_mirrored(talker):
-    training, held_out = talker(0, 20.0), talker(1, 12.0)
-    made, arms = talker(2, 8.0), find_parts(training.skeleton).arms
+def test_an_arm_is_copied_from_another_place_or_mirrored(gesture):
+    training, held_out = gesture(20.0, FPS, seed=0), gesture(12.0, FPS, seed=1)
+    made, arms = gesture(8.0, FPS, seed=2), find_parts(training.skeleton).arms
     rotations, (donor, mirrored) = made.rotations.copy(), (training[107:307], training.mirror())
     for side, source in (("left", donor), ("right", mirrored)):
         at = [training.skeleton.index(n) for n in (arms[side].shoulder, arms[side].elbow)]
@@ -331,7 +331,7 @@ def test_an_arm_is_copied_from_another_place_or_mirrored(talker):
             np.median(nearest_arm(arm_windows([motion], side)[0], [training], side))
             for motion in (held_out, made, copy)
         )
-        assert copied < 0.01 < 0.5 * own < new
+        assert copied < 0.01 < 0.5 * own < new, side
 
 
 def test_the_distance_of_arms_is_an_angle(turning):

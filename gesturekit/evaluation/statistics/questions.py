@@ -18,6 +18,7 @@ from gesturekit.evaluation.statistics import thresholds
 from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.levels import (
     add_blind_floors,
+    least_likeness,
     level_text,
     on_its_floor,
     reached_floor,
@@ -177,13 +178,9 @@ def _likeness(metrics: Results) -> Finding:
     if not result.informative:
         few = "takes of this speaker are too unlike one another, or too short, to compare with."
         return _cannot_be_answered(LIKE, "likeness", _no_room(result) or few)
-    value, ceiling = result.interval.value, result.ceiling
-    wanted = thresholds.LEAST_LIKE
-    if ceiling is not None:
-        usual = ceiling.value - thresholds.LIKE_SPREADS * (ceiling.spread or 0.0)
-        wanted = max(wanted, usual)
+    value = result.interval.value
     untested = "" if result.tested_against_speaker else "; not tested against another speaker"
-    if value >= wanted and on_its_floor(result) is None:
+    if value >= least_likeness(result.ceiling) and on_its_floor(result) is None:
         return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{untested}.")
     aspects = aspects_of(result.groups)
     missed = sorted(
