@@ -24,7 +24,6 @@ from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, load_clip, load_recording
 from gesturekit.evaluation.measuring.rigs import matched
 from gesturekit.evaluation.measuring.samples import copied
-from gesturekit.evaluation.measuring.speakers import backwards
 from gesturekit.evaluation.metrics.diagonals import frame_distances
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.two_sample import motion_windows
@@ -201,7 +200,7 @@ def _rows(
     """Return windows (N, D) of takes, evenly chosen, and the index (N,) of the take of each."""
     rows, owners = [np.empty((0, 1))], [np.empty(0, int)]
     for at, take in enumerate(takes):
-        motions = [backwards(m) for m in take.motions] if back else list(take.motions)
+        motions = [_backwards(m) for m in take.motions] if back else list(take.motions)
         try:
             windows = motion_windows(motions, joints, mirrored=mirrored)
         except MotionError:
@@ -210,6 +209,16 @@ def _rows(
         rows.append(windows.rows(kept))
         owners.append(np.full(len(kept), at))
     return np.concatenate(rows[1:] or rows), np.concatenate(owners)
+
+
+def _backwards(motion: Motion) -> Motion:
+    moved = {name: places[::-1] for name, places in motion.joint_translations.items()}
+    return replace(
+        motion,
+        rotations=motion.rotations[::-1],
+        translation=motion.translation[::-1],
+        joint_translations=moved,
+    )
 
 
 def _means(sides: Sequence[Mapping[str, float]]) -> dict[str, float]:

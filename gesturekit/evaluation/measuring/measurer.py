@@ -199,11 +199,10 @@ class Measurer:
         own = {name: self._with_itself(name, source) for name, source in self.recordings.items()}
 
         def compute() -> dict[str, list]:
-            found = ceilings(own, self.fps, self.measure, self.features, self.seed)
+            found = ceilings(own, self.fps, self.measure)
             return {name: [asdict(value), note] for name, (value, note) in found.items()}
 
-        parts = ["ceilings", list(own), self.features and self.features.fingerprint]
-        stored = self._stored(list(own.values()), parts, compute)
+        stored = self._stored(list(own.values()), ["ceilings", list(own)], compute)
         return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
 
     def likeness(

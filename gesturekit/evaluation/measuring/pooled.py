@@ -16,7 +16,6 @@ from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.measuring.speakers import (
     SpeakerClips,
     TrainingMotion,
-    changed_windows,
     own_windows,
 )
 from gesturekit.evaluation.metrics.arms import ARM_KEYS, arm_windows, nearest_arm
@@ -37,7 +36,6 @@ from gesturekit.evaluation.metrics.two_sample import (
     LOW_QUANTILE,
     MotionWindows,
     motion_windows,
-    nearer_votes,
     nearest_training,
     subsample,
     two_sample_votes,
@@ -116,7 +114,7 @@ class PooledMetrics:
         for names, compute in (
             (HAND_KEYS, self._hands),
             (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
-            (["one_nn", "within_reach", "forward", "sided"], self._windows),
+            (["one_nn", "within_reach"], self._windows),
             (["copying", "copying_low"], self._copying),
             (list(ARM_KEYS.values()), self._copied_arms),
             (["calibration", "seed_spread", "sharpness"], self._calibration),
@@ -250,25 +248,18 @@ class PooledMetrics:
 
     def _windows(self) -> dict[str, MetricResult]:
         votes, reached = [], []
-        nearer: dict[str, list[np.ndarray]] = {"forward": [], "sided": []}
         for group in self._groups:
-            joints, recorded = group.joints, group.recorded
-            ours = motion_windows(group.generated, joints)
-            theirs, back, turned = changed_windows(recorded, joints)
+            ours = motion_windows(group.generated, group.joints)
+            theirs = motion_windows(group.recorded, group.joints)
             right, drawn = two_sample_votes(ours, theirs, seed=self.seed)
             votes.append((right.sum(), drawn.sum()))
             self._vote(group, right, drawn, ours, theirs)
-            for key, changed in (("forward", back), ("sided", turned)):
-                shares = 100.0 * nearer_votes(ours, theirs, changed)
-                nearer[key].append(shares)
-                self._keep(key, _clip_means(group.clips[ours.clips], shares))
             reached.append((len(theirs), 100.0 * within_reach(ours, theirs, seed=self.seed)))
         right, drawn = np.sum(votes, axis=0)
         windows, reach = np.transpose(reached)
         values = {
             "one_nn": float(right / drawn),
             "within_reach": float(np.average(reach, weights=windows)),
-            **{key: float(np.concatenate(shares).mean()) for key, shares in nearer.items()},
         }
         own, note = self._once("windows", self._own_windows)
         return {key: self._result(key, value, own.get(key), note) for key, value in values.items()}

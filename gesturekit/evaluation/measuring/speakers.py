@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,7 @@ from gesturekit.evaluation.measuring.clips import load_recording
 from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.metrics.hands import FPS
 from gesturekit.evaluation.metrics.two_sample import (
-    MotionWindows,
     motion_windows,
-    nearer_votes,
     two_sample_accuracy,
     within_reach,
 )
@@ -146,7 +144,7 @@ def own_windows(
     joints: Sequence[str],
     seed: int,
 ) -> dict[str, float]:
-    """Return 1-NN accuracy, direction of time, side and share within reach of recordings.
+    """Return 1-NN accuracy and share within reach of recordings.
 
     Args:
         held: held-out recordings, judged as if they had been generated.
@@ -157,36 +155,8 @@ def own_windows(
     Raises:
         MotionError: recordings that are too short, or lack a joint.
     """
-    mine, (theirs, back, turned) = motion_windows(held, joints), changed_windows(others, joints)
+    mine, theirs = motion_windows(held, joints), motion_windows(others, joints)
     return {
         "one_nn": two_sample_accuracy(theirs, mine, seed=seed),
-        "forward": 100.0 * float(nearer_votes(mine, theirs, back).mean()),
-        "sided": 100.0 * float(nearer_votes(mine, theirs, turned).mean()),
         "within_reach": 100.0 * within_reach(theirs, mine, seed=seed),
     }
-
-
-def changed_windows(
-    recorded: Sequence[Motion], joints: Sequence[str]
-) -> tuple[MotionWindows, MotionWindows, MotionWindows]:
-    """Return the windows of recordings as they are, played backwards, and mirrored.
-
-    Raises:
-        MotionError: recordings that are too short, or lack a joint.
-    """
-    back = [backwards(motion) for motion in recorded]
-    return (
-        motion_windows(list(recorded), joints),
-        motion_windows(back, joints),
-        motion_windows(list(recorded), joints, mirrored=True),
-    )
-
-
-def backwards(motion: Motion) -> Motion:
-    """Return a motion with its frames in reverse order."""
-    return replace(
-        motion,
-        rotations=motion.rotations[::-1],
-        translation=motion.translation[::-1],
-        joint_translations={name: v[::-1] for name, v in motion.joint_translations.items()},
-    )

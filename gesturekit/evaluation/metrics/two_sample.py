@@ -85,11 +85,6 @@ class MotionWindows:
             row[:] = self.frames[clip][first : first + _WIDTH].ravel()
         return values
 
-    def blocks(self) -> Iterator[np.ndarray]:
-        """Yield `values` in blocks, to save memory."""
-        for at in range(0, len(self), _BLOCK):
-            yield self.rows(np.arange(at, min(at + _BLOCK, len(self))))
-
 
 @dataclass(frozen=True)
 class Copying:
@@ -161,16 +156,6 @@ def motion_windows(
     return MotionWindows(frames, clips, np.concatenate(first))
 
 
-def joined(sets: Sequence[MotionWindows]) -> MotionWindows:
-    """Return the windows of several sets as one; their clips are numbered on."""
-    frames = tuple(frames for windows in sets for frames in windows.frames)
-    before = np.cumsum([0, *(len(windows.frames) for windows in sets[:-1])])
-    clips = [windows.clips + first for windows, first in zip(sets, before)]
-    return MotionWindows(
-        frames, np.concatenate(clips), np.concatenate([windows.first for windows in sets])
-    )
-
-
 def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int = 0) -> float:
     """Return the leave-one-out accuracy of a 1-nearest-neighbour classifier of two sets (1-NN).
 
@@ -226,35 +211,6 @@ def two_sample_votes(
         right[place[chosen]] += label[nearest] == label
         drawn[place[chosen]] += 1
     return right, drawn
-
-
-def nearer_votes(
-    generated: MotionWindows, recorded: MotionWindows, changed: MotionWindows
-) -> np.ndarray:
-    """Return (N,) 1 for windows nearer to recordings than to changed recordings, else 0.
-
-    A tie is 0.5. It detects motion that is changed in the same way; other motion has about 0.5.
-
-    Args:
-        generated: N windows.
-        recorded: windows of recordings.
-        changed: windows of the same recordings, played backwards or mirrored.
-
-    Raises:
-        MotionError: windows of different joints.
-    """
-    _require_same_joints(generated, recorded)
-    ahead, back = (
-        np.concatenate(
-            [
-                np.min([_nearest(block, others) for others in other.blocks()], axis=0)
-                for block in generated.blocks()
-            ]
-        )
-        for other in (recorded, changed)
-    )
-    tie = np.abs(ahead - back) < 1e-9
-    return np.where(tie, 0.5, (ahead < back).astype(np.float64))
 
 
 def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int = 0) -> float:
@@ -363,11 +319,6 @@ def nearest_training(
     if not np.isfinite(nearest).all():
         raise MotionError(f"no training clip is as long as a window of {WINDOW:g} s")
     return nearest
-
-
-def _nearest(values: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return (N,) distance of each row to the nearest of other rows."""
-    return frame_distances(values, others).min(axis=1)
 
 
 def _averages(values: np.ndarray) -> np.ndarray:

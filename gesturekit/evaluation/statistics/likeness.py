@@ -45,11 +45,10 @@ ASPECTS: dict[str, tuple[str, ...]] = {
         "smoothness",
         "feet",
         "postures and movements",
-        "direction of time",
-        "left and right",
     )
-}
-"""Keys of `definitions` of each aspect."""
+} | {"direction of time": ("forward",), "left and right": ("sided",)}
+"""Keys of `definitions` of each aspect; `forward` and `sided` are the percentages of windows that
+are nearer to recordings than to the same played backwards, and mirrored."""
 RATIOS = {k: d.ratio_floor for k, d in DEFINITIONS.items() if d.ratio_floor is not None}
 """Metrics that are compared as ratios, and what is added to both values."""
 TWO_SAMPLE = ("postures and movements", "left and right")

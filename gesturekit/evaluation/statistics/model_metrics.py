@@ -8,12 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES
 from gesturekit.evaluation.results import ClipResult, GroupLikeness, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, scaled_like
 from gesturekit.evaluation.statistics.levels import TRAINING, with_timing_levels
 from gesturekit.evaluation.statistics.likeness import likeness_result
-from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
+from gesturekit.evaluation.statistics.thresholds import (
+    ABOVE_CHANCE,
+    ENOUGH_SECONDS,
+    SAME,
+    SATURATED,
+)
 
 SYNC_SECONDS = 0.4
 """Seconds of arm speed that count as one independent value: the standard deviation of sync over
@@ -71,6 +76,9 @@ def metric_results(
     cca = found.get("cca")
     if cca is not None and cca.recording is not None and cca.recording > SATURATED:
         found["cca"] = replace(cca, informative=False)
+    if sum(clip.seconds for clip in clips) < ENOUGH_SECONDS:
+        few = [key for key in found if DEFINITIONS[key].group == PATCHES]
+        found |= {key: replace(found[key], informative=False) for key in few}
     if "in_time" in found:
         found["in_time"] = with_timing_levels(found["in_time"], clips)
     like = likeness_result(*likeness, len(clips))

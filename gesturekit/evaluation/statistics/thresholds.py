@@ -42,6 +42,8 @@ SPEAKERS_DIFFER = 0.2
 """Difference of likeness between speakers from which they are named."""
 NAMED_ASPECT = 0.6
 """Credit of an aspect, over the speaker's own, below which it is named."""
+ENOUGH_SECONDS = 32.0
+"""Seconds of generated motion from which patch metrics are informative."""
 SATURATED = 0.99
 """CCA of one recording with another above which the metric cannot tell motions apart: clips with
 few frames and many joints."""
