@@ -52,9 +52,9 @@ _INTERNAL = {
         "Takes holm interval_of interval_of_statistic interval_over_samples p_value pseudo_values "
         "scaled_like standard_error whole_set"
     ),
-    "statistics.model_metrics": "informative metric_results",
+    "statistics.model_metrics": "above_chance informative metric_results",
     "statistics.paired": "Contest contests distance p_of_difference",
-    "statistics.questions": "answer answers likeness_by_group likeness_of verdict",
+    "statistics.questions": "answer answers verdict",
 }
 """Names that are imported within the project."""
 __all__, __getattr__, __dir__ = attach(

@@ -50,7 +50,6 @@ from gesturekit.evaluation.results import (
     ClipResult,
     Evaluation,
     Interval,
-    Level,
     ModelResult,
 )
 from gesturekit.evaluation.statistics.intervals import interval_over_samples
@@ -77,8 +76,6 @@ MULTIRES_LENGTH = 2.0
 """Samples of each training sequence, and their length relative to the sequence."""
 LDA_SAMPLES = 3
 """Samples of each 10 s window."""
-OfRecordings = tuple[Mapping[str, tuple[Interval, str]], Mapping[str, Level]]
-"""Ceilings of metrics, and the levels of likeness: see `Measurer`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,10 +186,9 @@ def evaluate(
     pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
     measurer, statistics = _measurer(pairs, reference, fps, takes, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    recorded = measurer.ceilings(), measurer.likeness_levels()
     models = [
         _model(
-            ModelResult(label, folders.get(label, Path(label))), some, measured, recorded, chosen
+            ModelResult(label, folders.get(label, Path(label))), some, measured, measurer, chosen
         )
         for label, some in pairs.items()
     ]
@@ -340,7 +336,7 @@ def _model(
     result: ModelResult,
     pairs: Pairs,
     measured: Measured,
-    recorded: OfRecordings,
+    measurer: Measurer,
     options: EvaluationOptions,
 ) -> ModelResult:
     """Return the results of a model, from the measurements of its clips and of their set.
@@ -362,7 +358,8 @@ def _model(
         reasons = "; ".join(item.reason for item in result.excluded[:3])
         raise EvaluationError(f"{result.path}: no clip could be measured: {reasons}")
     sets = measured.sets[result.label]
-    result.metrics = metric_results(result.clips, sets, *recorded)
+    likeness = measurer.likeness(result.label, result.clips)
+    result.metrics = metric_results(result.clips, sets, measurer.ceilings, likeness)
     if POOLED in options.groups:
         result.verdict = verdict(result.metrics)
     if PATCHES in options.groups:

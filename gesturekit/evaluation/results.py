@@ -23,6 +23,8 @@ FORMAT = 1
 NOT_ASKED = "not asked"
 """State of the answers for a broken motion: its scores say nothing."""
 _MOST_BYTES = 256 << 20
+OTHER_SPEAKER = "another speaker"
+"""Name of the level that motion of other speakers gives."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,8 @@ class Level:
     Attributes:
         name: the motion, such as "another speaker".
         value: mean over takes.
-        spread: standard deviation over takes; None with a single one.
+        spread: standard deviation over takes, of a ceiling of likeness over sets of takes; None
+            with a single one.
         n: number of takes; 0 for a value by definition.
         pieces: True where pieces of one take stand for takes, which flatters a ceiling.
     """
@@ -85,6 +88,31 @@ class Level:
     value: float
     spread: float | None = None
     n: int = 1
+    pieces: bool = False
+
+
+@dataclass(frozen=True)
+class GroupLikeness:
+    """Likeness of a model to one speaker, or one style of a speaker; see `statistics.likeness`.
+
+    Attributes:
+        name: the group, of `statistics.groups`.
+        takes: names of the takes that the model has clips of.
+        value: likeness, 0 to 1: the model's score over the speaker's own.
+        own: the speaker's own score, 0 to 1.
+        aspects: {aspect: credit over the speaker's own, at most 1}.
+        without: {take: likeness without it}; empty with a single take.
+        without_reference: likeness without each of the takes that these are compared with.
+        pieces: True where clips, or pieces of one, stand for takes.
+    """
+
+    name: str
+    takes: tuple[str, ...]
+    value: float
+    own: float
+    aspects: Mapping[str, float]
+    without: Mapping[str, float] = field(default_factory=dict)
+    without_reference: tuple[float, ...] = ()
     pieces: bool = False
 
 
@@ -139,6 +167,7 @@ class MetricResult:
             recordings.
         ceiling: value of the speaker's other takes; of the three questions only.
         floors: values of motion that should fail; of the three questions only.
+        groups: likeness by speaker and style; of likeness only.
     """
 
     key: str
@@ -151,6 +180,12 @@ class MetricResult:
     informative: bool = True
     ceiling: Level | None = None
     floors: tuple[Level, ...] = ()
+    groups: tuple[GroupLikeness, ...] = ()
+
+    @property
+    def tested_against_speaker(self) -> bool:
+        """True if motion of another speaker is among the floors."""
+        return any(level.name == OTHER_SPEAKER for level in self.floors)
 
     @property
     def levels(self) -> list[Level]:
@@ -178,7 +213,8 @@ class MetricResult:
         """Return the result that `dataclasses.asdict` described."""
         kinds = {"interval": Interval, "recording_interval": Interval, "ceiling": Level}
         found = {k: kinds[k](**v) if k in kinds and v else v for k, v in values.items()}
-        return cls(**{**found, "floors": tuple(Level(**v) for v in values.get("floors", ()))})
+        several = (("floors", Level), ("groups", GroupLikeness))
+        return cls(**found | {k: tuple(of(**v) for v in values.get(k, ())) for k, of in several})
 
 
 @dataclass(frozen=True)

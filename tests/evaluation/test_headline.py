@@ -19,12 +19,11 @@ from gesturekit.evaluation import (
     SpeedHistogram,
     answers,
     headline_lines,
-    likeness_by_group,
-    likeness_of,
     verdict,
 )
+from gesturekit.evaluation.results import GroupLikeness
 from gesturekit.evaluation.statistics.groups import groups_of
-from gesturekit.evaluation.statistics.likeness import credits, likeness
+from gesturekit.evaluation.statistics.likeness import credits, likeness_result, relative, score
 from gesturekit.evaluation.statistics.questions import same_verdicts
 
 OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 0.02}
@@ -44,26 +43,46 @@ def states(made: list[ClipResult], **metrics: MetricResult) -> dict[str, tuple[s
     return {answer.key: (answer.state, answer.sentence) for answer in answers(made, metrics)}
 
 
-def test_likeness_is_one_within_a_quarter_and_falls_to_nothing_at_two_and_a_half():
+def test_a_ratio_has_full_credit_within_a_quarter_and_none_at_two_and_a_half():
     for factor, credit in ((1.0, 1.0), (1.2, 1.0), (0.85, 1.0), (0.25, 0.0), (3.0, 0.0)):
-        ours = {"reach": np.array(0.3 * factor)}
-        assert likeness(ours, {"reach": np.array(0.3)}) == pytest.approx(credit)
-    half = likeness({"reach": np.array(0.15)}, {"reach": np.array(0.3)})
+        assert credits({"reach": 0.3 * factor}, {"reach": 0.3}) == {"reach": pytest.approx(credit)}
+    half = credits({"reach": 0.15}, {"reach": 0.3})["reach"]
     assert 0.2 < half < 0.5, "half of the reach is nearer to nothing than to full credit"
-    assert likeness({}, {}) is None
+    assert credits({}, {}) == {}
 
 
-def test_one_nn_and_direction_of_time_have_their_own_credit():
-    found = credits({"one_nn": np.array(0.8), "forward": np.array(0.0)}, {}, own_one_nn=0.6)
-    assert found["postures and movements"] == pytest.approx(0.5)
-    assert found["direction of time"] == 0.0
-    assert credits({"one_nn": np.array(0.3)}, {})["postures and movements"] == 1.0
+def test_one_nn_time_and_side_have_their_own_credit():
+    """1-NN: twice the error; side: from 30 % to 50 %."""
+    found = credits({"one_nn": 0.8, "forward": 27.0, "sided": 40.0}, {})
+    assert found["postures and movements"] == pytest.approx(0.4)
+    assert (found["direction of time"], found["left and right"]) == pytest.approx((0.9, 0.5))
+    assert score(found) == pytest.approx(np.sqrt(0.9 * 0.4)), "the lower one, with movement"
+    assert credits({"one_nn": 0.3}, {})["postures and movements"] == 1.0
+
+
+def test_no_aspect_makes_up_for_another_by_more_than_the_speakers_own():
+    own = {"reach": 0.5, "rests": 0.5, "postures and movements": 0.4, "left and right": 1.0}
+    average = {**own, "reach": 1.0, "postures and movements": 0.9}
+    assert relative(average, own).value == pytest.approx(1.0)
+    # Rests count .05 at least: a tenth of the speaker's own in one of two aspects of movement.
+    restless = relative({**average, "rests": 0.0}, own)
+    assert restless.value == pytest.approx(0.1**0.25) and restless.aspects["rests"] == 0.1
+    mirrored = relative({**average, "left and right": 0.1}, own)
+    assert mirrored.value == pytest.approx(np.sqrt(0.1 / 0.4))
+    assert relative({}, own).value == pytest.approx(relative(dict.fromkeys(own, 0.0), own).value)
+    assert relative(average, {}) is None
 
 
 def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_nothing():
     for value, state in ((0.4, "yes"), (0.2, "partly"), (0.05, "no"), (0.9, "partly")):
         found = states(clips(), in_time=result("in_time", value, 0.4))
         assert found["in_time"][0] == state, value
+    # Its own chance level: 3 standard errors of sqrt(.4 / 10) of each of three clips, .346 in all.
+    for above, state in ((0.4, "yes"), (0.3, "no")):
+        metrics = {"sync": 0.1 + above, "sync_chance": 0.1, "sync_z": above / 0.05}
+        made = [replace(clip, metrics=metrics) for clip in clips()]
+        timed = {"in_time": result("in_time", above, 0.4), "sync": result("sync", 0.5, 0.5)}
+        assert states(made, **timed)["in_time"][0] == state
     # Recordings that say nothing: the model is asked alone, by its own interval or deviations.
     unsure = result("in_time", 0.9, 0.4, informative=False)
     state, sentence = states(clips(), in_time=unsure)["in_time"]
@@ -79,54 +98,86 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
     assert states(clips())["novelty"][0] == "not measured"
 
 
-def test_the_aspects_that_differ_are_named():
-    like = result("likeness", 0.95, 0.9)
-    assert states(clips(), likeness=like)["likeness"][0] == "yes"
-    state, sentence = states(clips(reach=0.3), likeness=like)["likeness"]
-    assert state == "partly" and "reach" in sentence and "jerk" not in sentence
-    assert states(clips(jerk=9.0), likeness=result("likeness", 0.3, 0.9))["likeness"][0] == "no"
+def of_group(value: float, name: str = "", takes: int = 1, **aspects: float) -> GroupLikeness:
+    return GroupLikeness(name, tuple(f"{name}{i}" for i in range(takes)), value, 0.5, aspects)
+
+
+def test_the_aspects_that_differ_are_named_where_a_motion_is_not_like_the_speaker():
+    for value, state in ((0.9, "yes"), (0.65, "partly"), (0.3, "no")):
+        group = of_group(value, reach=0.3, smoothness=0.9)
+        like = result("likeness", value, 1.0, groups=(group,))
+        found, sentence = states(clips(), likeness=like)["likeness"]
+        assert found == state and ("reach" in sentence) == (state != "yes")
+        assert "smooth" not in sentence and "not tested against another speaker" in sentence
 
 
 def test_copies_are_named():
     for value, state, word in ((0.1, "no", "copied"), (0.7, "no", "lively"), (1.0, "yes", "new")):
-        copied = result("novelty", value, 1.0, note="recording: against the training split")
+        copied = result("novelty", value, 1.0)
         found = states(clips(), novelty=copied)["novelty"]
         assert found[0] == state and word in found[1].lower() and "training" in found[1]
     copied = result("novelty", 442.0, 1.0, informative=False)
     assert states(clips(), novelty=copied)["novelty"][0] == "cannot be answered"
-    low = result("copying_low", 0.1, 0.3)
-    found = states(clips(), novelty=result("novelty", 1.0, 1.0), copying_low=low)
+    new, low = result("novelty", 1.0, 1.0), result("copying_low", 0.1, 0.3)
+    found = states(clips(), novelty=new, copying_low=low)
     assert found["novelty"][0] == "partly" and "occasionally" in found["novelty"][1]
+    for degrees, state in ((4.0, "no"), (9.0, "yes")):
+        arms = {"copying_left": result("copying_left", degrees, 10.0),
+                "copying_right": result("copying_right", 9.0, 10.0)}  # fmt: skip
+        found = states(clips(), novelty=new, **arms)["novelty"]
+        assert found[0] == state and ("left arm" in found[1]) == (state == "no")
+        assert "right arm" not in found[1]
+
+
+def test_whether_motion_is_new_is_not_asked_without_training_motion_each_with_its_reason():
+    windows, new = result("one_nn", 0.7, 0.7), result("novelty", 1.0, 1.0)
+    trained = [replace(c, pair=replace(c.pair, reference=ItemInterval(Said("a"))))
+               for c in clips()]  # fmt: skip
+    for made, metrics, reason in (
+        (clips(), {"one_nn": windows}, "training split"),
+        (clips(), {}, "too short"),
+        (trained, {"one_nn": windows}, "trained on"),
+        (clips(), {"novelty": new, "near_still": result("near_still", 97.0, 10.0)}, "hardly move"),
+    ):
+        state, sentence = states(made, **metrics)["novelty"]
+        assert state in ("not measured", "cannot be answered") and reason in sentence
 
 
 class Said:
     """An item that names a speaker and a style."""
 
     def __init__(self, speaker: str, style: str | None = None) -> None:
-        self.speaker, self.style, self.take = speaker, style, ""
+        self.speaker, self.style, self.take, self.split = speaker, style, "", "train"
 
 
 def spoken_by(speaker: str, stem: str, style: str | None = None) -> Pair:
     return Pair(stem, stem, None, Path("a"), ItemInterval(Said(speaker, style)))
 
 
-def test_each_speaker_is_compared_with_own_recordings_and_speakers_are_averaged_by_takes():
-    """Reach .1 and .4 m with that of the other speaker: pooled .25 and .25, the credit 1."""
-    reach = {"a": 0.1, "b": 0.4}
-    made = [
-        ClipResult(spoken_by(who, stem), 9.0, {"reach": ours}, {"reach": reach[who]}, {})
-        for who, stem, ours in (("a", "1", 0.4), ("a", "2", 0.4), ("b", "3", 0.4), ("b", "4", 0.4))
-    ]
-    measure = likeness_of(made, 0.6)
-    assert likeness_by_group(made, 0.6) == {"a": 0.0, "b": 1.0}
-    assert measure(np.full((1, 4), 0.25)) == pytest.approx(0.5)
-    # Three quarters of the weight on the takes of b; none on those of a.
-    assert measure(np.array([[0.25, 0.0, 0.5, 0.25], [0.0, 0.0, 0.5, 0.5]])) == pytest.approx(
-        [0.75, 1.0]
-    )
-    like = result("likeness", 0.5, 0.9)
-    state, sentence = states(made, likeness=like)["likeness"]
-    assert state == "no" and re.search(r"\ba\W+0\b", sentence) and re.search(r"\bb\W+1\b", sentence)
+def test_speakers_are_averaged_by_takes_and_named_where_they_differ():
+    groups = [of_group(0.2, "a", 3), of_group(1.0, "b", 1)]
+    like = likeness_result(groups, {}, 8)
+    assert like.interval.value == pytest.approx(0.4) and like.interval.low is None
+    state, sentence = states(clips(), likeness=like)["likeness"]
+    assert state == "no" and re.search(r"\ba 0.20.*\bb 1.00", sentence)
+    assert likeness_result([], {}, 8) is None
+
+
+def test_the_interval_of_likeness_is_the_jackknife_over_both_sets_of_takes():
+    """Variances 4/5 of the sums of squares .002 and .0002; t(4) = 2.776 on the logit scale."""
+    own = {f"t{i}": 0.7 + 0.01 * i for i in (-1, -3, 0, 1, 3)}
+    group = GroupLikeness("", tuple(own), 0.7, 0.5, {}, own, (0.69, 0.7, 0.7, 0.7, 0.71))
+    found = likeness_result([group], {}, 5).interval
+    half = 2.776 * np.sqrt(0.8 * (0.002 + 0.0002)) / (0.7 * 0.3)
+    ends = [1 / (1 + np.exp(-(np.log(0.7 / 0.3) + sign * half))) for sign in (-1, 1)]
+    assert (found.low, found.high) == pytest.approx(tuple(ends), abs=1e-3)
+    assert likeness_result([replace(group, value=1.0)], {}, 5).interval.low is None
+    assert likeness_result([replace(group, pieces=True)], {}, 5).interval.low is None
+
+
+def test_a_speaker_whose_takes_have_nothing_in_common_is_not_asked_about():
+    like = likeness_result([replace(of_group(0.9), own=0.1)], {}, 3)
+    assert states(clips(), likeness=like)["likeness"][0] == "cannot be answered"
 
 
 def test_styles_are_groups_where_each_has_three_recordings():
@@ -139,24 +190,28 @@ def test_styles_are_groups_where_each_has_three_recordings():
 
 
 def test_a_score_is_placed_between_its_floor_and_its_ceiling():
-    """The floor of .2 ± .2 over four takes is reached up to .3."""
+    """The floor of .2 ± .2 over four takes is reached up to .3; yes from .9 - 1.64 · .05 = .818."""
     floors = (Level("mean pose", 0.0, None, 0), Level("another speaker", 0.2, 0.2, 4))
     ceiling = Level("the speaker's other takes", 0.9, 0.05, 6)
     for value, state, facts in (
         (0.25, "no", ["floor", "another speaker", "0.2"]),
-        (0.4, "no", []),
-        (0.65, "partly", []),  # more than .6 of .9
-        (0.9, "yes", []),
+        (0.5, "no", []),
+        (0.75, "partly", []),
+        (0.83, "yes", []),
         (1.0, "yes", ["ceiling", "0.9", "0.05"]),
     ):
-        like = result("likeness", value, 0.9, floors=floors, ceiling=ceiling)
+        like = result("likeness", value, 1.0, floors=floors, ceiling=ceiling)
         found, sentence = states(clips(), likeness=like)["likeness"]
         assert found == state and all(fact in sentence for fact in facts), value
         assert [w for w in ("floor", "ceiling") if w in sentence] == facts[:1], value
-    # A speaker whose takes differ is reached at their likeness, not at 0.85.
-    for value, state in ((0.55, "yes"), (0.4, "partly"), (0.2, "no")):
-        assert states(clips(), likeness=result("likeness", value, 0.5))["likeness"][0] == state
-    high = result("likeness", 0.3, 0.9, informative=False, floors=floors, ceiling=floors[1])
+        assert "not tested" not in sentence
+    # However much the speaker's takes differ, .7 is needed for yes and .6 for partly.
+    own = Level("the speaker's other takes", 0.8, 0.2, 6)
+    for value, state in ((0.71, "yes"), (0.69, "partly"), (0.59, "no")):
+        like = result("likeness", value, 1.0, ceiling=own)
+        assert states(clips(), likeness=like)["likeness"][0] == state
+    other = (Level("another speaker", 0.95, None, 1),)
+    high = result("likeness", 0.3, 1.0, informative=False, floors=other, ceiling=ceiling)
     state, sentence = states(clips(), likeness=high)["likeness"]
     assert state == "cannot be answered" and "floor" in sentence and "ceiling" in sentence
 

@@ -16,10 +16,10 @@ from gesturekit.evaluation import (
     MetricResult,
     ModelResult,
     Pair,
+    above_chance,
     contests,
     distance,
     holm,
-    informative,
     metric_results,
     whole_set,
 )
@@ -45,7 +45,7 @@ def model(label: str, clips: list[ClipResult]) -> ModelResult:
 
 def metrics_of(clips: list[ClipResult], pooled: dict | None = None) -> dict[str, MetricResult]:
     sets = {"pooled": {"metrics": pooled or {}}, "frechet": {"metrics": {}}}
-    return metric_results(clips, sets, {}, {})
+    return metric_results(clips, sets, {})
 
 
 def two_models(
@@ -238,24 +238,24 @@ def test_the_standard_deviations_of_recordings_are_pooled():
         own = {"sync": 0.1 + gap, "sync_chance": 0.1} | ({} if z is None else {"sync_z": z})
         return [clip(f"r{r}", s, {}, own) for r in range(4) for s in range(2)]
 
-    assert informative(given(0.35), "sync") and not informative(given(0.25), "sync")
-    assert not informative(given(0.35, z=0.3), "sync"), "wider where the shifts say so"
+    assert above_chance(given(0.35), "sync") and not above_chance(given(0.25), "sync")
+    assert not above_chance(given(0.35, z=0.3), "sync"), "wider where the shifts say so"
 
     # Others have that of the shifts alone: four of z are a sum of 2 z.
     def beats(z: float) -> list[ClipResult]:
         own = {"bc": 0.6, "bc_chance": 0.5, "bc_z": z}
         return [clip(f"r{r}", 0, {}, own) for r in range(4)]
 
-    assert informative(beats(1.8), "bc") and not informative(beats(1.2), "bc")
+    assert above_chance(beats(1.8), "bc") and not above_chance(beats(1.2), "bc")
     # 2.5 s have twice the deviation.
-    assert not informative([replace(c, seconds=2.5) for c in given(0.4)], "sync")
+    assert not above_chance([replace(c, seconds=2.5) for c in given(0.4)], "sync")
 
 
 @pytest.mark.parametrize(("own", "expected"), [(0.5, True), (0.12, False)])
 def test_sync_is_informative_only_where_the_recordings_are_above_chance(own, expected):
     given = {"sync": own, "sync_chance": 0.05, "sync_z": (own - 0.05) / 0.2}
     clips = [clip(f"r{r}", 0, {"sync": 0.9}, given) for r in range(4)]
-    assert informative(clips, "sync") is expected
+    assert above_chance(clips, "sync") is expected
     assert metrics_of(clips)["sync"].informative is expected
 
 

@@ -1,32 +1,23 @@
 """Ceilings of metrics that compare with recordings: the value of the speaker's other takes.
 
 Each recording is compared with one of another take of the same speaker, as if it had been generated
-for it. A single take is compared with itself, piece by piece or half by half, which flatters.
-Fréchet distances compare one half of the recordings with the other. A model that moves like the
-speaker comes to about these values: it cannot know what was recorded.
+for it. A single take is compared with itself, piece by piece or half by half, which flatters. A
+model that moves like the speaker comes to about these values: it cannot know what was recorded.
+Fréchet distances have none: they depend on the size of the sets, and disjoint sets of recordings as
+large as the model's are not to be had.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.definitions import (
-    DEFINITIONS,
-    FRECHET,
-    PATCHES,
-    SIMILARITY,
-    Definition,
-    definitions_of,
-)
+from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES, SIMILARITY
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, load_recording
-from gesturekit.evaluation.measuring.inputs import SetInputs, compute
 from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
@@ -37,9 +28,6 @@ from gesturekit.evaluation.results import Interval
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, whole_set
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
-
-if TYPE_CHECKING:
-    from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 MOST, LONGEST = 30, 60.0
 """Recordings that are compared with each other, at most, and seconds of each."""
@@ -56,11 +44,7 @@ SECOND = ", second half"
 
 
 def ceilings(
-    sources: Mapping[str, Pair],
-    fps: float,
-    measure: ClipMetrics,
-    features: Extractor | None,
-    seed: int,
+    sources: Mapping[str, Pair], fps: float, measure: ClipMetrics
 ) -> dict[str, tuple[Interval, str]]:
     """Return {key of `definitions`: (the recordings' own value, how it was taken)}.
 
@@ -68,8 +52,6 @@ def ceilings(
         sources: pairs of each recording with itself, which give takes and speakers; of one rig.
         fps: frame rate of the evaluation.
         measure: the metrics of clips, with their groups.
-        features: the feature extractor of FGD, or None.
-        seed: seed of subsamples.
     """
     if not sources:  # all are too short to be compared
         return {}
@@ -89,14 +71,20 @@ def ceilings(
         takes = Takes.of([pair for _, pair in has])
         found[key] = interval_of([v for v, _ in has], takes, DEFINITIONS[key].within), note
     halves = _halves(list(chosen.values()))
-    for key, measured in _set_metrics(chosen, clips, halves, measure, features, seed).items():
-        try:
-            value = measured()
-        except GestureKitError:
-            continue  # the model's own result says why it cannot be taken
-        if value is not None:
-            found[key] = whole_set(value, len(chosen)), HALVES
-    return found
+    sets = {"hellinger": hellinger(*(_speeds(half, joints) for half in halves))}
+    try:
+        if SIMILARITY in measure.groups:
+            both = [similarity.pose_pair(c.generated, c.recording, joints) for c in clips]
+            poses = (np.concatenate(side) for side in zip(*both, strict=True))
+            sets["cca_global"] = similarity.cca(*poses)
+        if PATCHES in measure.groups:
+            variant, some = measure.variants.patches, list(chosen.values())[:INTER]
+            features = [patch_features(motion, variant, joints=joints) for motion in some]
+            sets["inter_diversity"] = inter_diversity(features)
+    except GestureKitError:
+        pass  # the model's own result says why it cannot be taken
+    whole = {key: (whole_set(value, len(chosen)), HALVES) for key, value in sets.items()}
+    return found | whole
 
 
 def _chosen(sources: Mapping[str, Pair], fps: float) -> dict[str, Motion]:
@@ -142,51 +130,5 @@ def _halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
     return [motion[:middle]], [motion[middle:]]
 
 
-def _set_metrics(
-    recordings: Mapping[str, Motion],
-    clips: Sequence[Clip],
-    halves: tuple[list[Motion], list[Motion]],
-    measure: ClipMetrics,
-    features: Extractor | None,
-    seed: int,
-) -> dict[str, Callable[[], float | None]]:
-    """Return {key: function that computes it} of metrics of whole sets."""
-    joints = clips[0].joints
-    one, other = halves
-    metrics: dict[str, Callable[[], float | None]] = {
-        "hellinger": lambda: _hellinger(halves, joints)
-    }
-    if SIMILARITY in measure.groups:
-        metrics["cca_global"] = lambda: _cca(clips)
-    if PATCHES in measure.groups:
-        metrics["inter_diversity"] = lambda: inter_diversity(
-            [
-                patch_features(motion, measure.variants.patches, joints=joints)
-                for motion in list(recordings.values())[:INTER]
-            ]
-        )
-    if FRECHET in measure.groups:
-        inputs = SetInputs(one, other, features, joints, seed, measure.variants.kinetic)
-        for definition in definitions_of("distance"):
-            metrics[definition.key] = partial(_distance, definition, inputs)
-    return metrics
-
-
-def _distance(definition: Definition, inputs: SetInputs) -> float | None:
-    """Return a distance of sets; None if it needs a feature extractor."""
-    found = compute(definition, inputs, resamples=0)
-    return None if found is None else found.value
-
-
-def _hellinger(halves: tuple[list[Motion], list[Motion]], joints: Sequence[str]) -> float:
-    return hellinger(
-        *(
-            SpeedHistogram.of([relative_speed(motion, joints).ravel() for motion in half])
-            for half in halves
-        )
-    )
-
-
-def _cca(clips: Sequence[Clip]) -> float:
-    both = [similarity.pose_pair(c.generated, c.recording, c.joints) for c in clips]
-    return similarity.cca(*(np.concatenate(side) for side in zip(*both, strict=True)))
+def _speeds(motions: Sequence[Motion], joints: Sequence[str]) -> SpeedHistogram:
+    return SpeedHistogram.of([relative_speed(motion, joints).ravel() for motion in motions])

@@ -27,7 +27,7 @@ from gesturekit.evaluation.measuring.content import (
     digest_of,
     metric_version,
 )
-from gesturekit.evaluation.measuring.levels import likeness_levels
+from gesturekit.evaluation.measuring.likeness import LikenessMeasurer
 from gesturekit.evaluation.measuring.pooled import PooledMetrics, Window
 from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.measuring.set_metrics import (
@@ -40,7 +40,7 @@ from gesturekit.evaluation.measuring.set_metrics import (
 from gesturekit.evaluation.measuring.speakers import TrainingMotion
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
 from gesturekit.evaluation.pairs import ItemInterval, Items, Pair, recordings
-from gesturekit.evaluation.results import Interval, Level, MetricResult
+from gesturekit.evaluation.results import ClipResult, GroupLikeness, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.levels import OTHER_SOUND
 
 if TYPE_CHECKING:
@@ -192,43 +192,58 @@ class Measurer:
         self.store.write(self.set_key(portion), values)
         return values
 
+    @functools.cached_property
     def ceilings(self) -> dict[str, tuple[Interval, str]]:
-        """Return the recordings' own values (`measuring.ceilings`), stored or computed here."""
+        """The recordings' own values (`measuring.ceilings`), stored or computed here."""
         own = {name: self._with_itself(name, source) for name, source in self.recordings.items()}
 
         def compute() -> dict[str, list]:
-            found = ceilings(own, self.fps, self.measure, self.features, self.seed)
+            found = ceilings(own, self.fps, self.measure)
             return {name: [asdict(value), note] for name, (value, note) in found.items()}
 
-        parts = ["ceilings", list(own), self.features and self.features.fingerprint]
-        stored = self._stored(list(own.values()), parts, compute)
+        stored = self._stored(list(own.values()), ["ceilings", list(own)], compute)
         return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
 
-    def likeness_levels(self) -> dict[str, Level]:
-        """Return ceiling and floors of likeness (`measuring.levels`), stored or computed here."""
+    def likeness(
+        self, label: str, clips: Sequence[ClipResult]
+    ) -> tuple[list[GroupLikeness], dict[str, Level]]:
+        """Return the likeness of a model (`measuring.likeness`), stored or computed here."""
         if POOLED not in self.measure.groups:
-            return {}
-        recorded = recordings(self.reference)
-        held_out = [self._with_itself(name, source) for name, source in recorded.items()]
-        others = self.reference.others if isinstance(self.reference, Items) else ()
-        every = held_out + [self._with_itself(item.id, ItemInterval(item)) for item in others]
+            return [], {}
 
-        def compute() -> dict[str, dict[str, Any]]:
-            found = likeness_levels(every, len(held_out), self.fps, self.measure, self.seed)
-            return {name: asdict(level) for name, level in found.items()}
+        def compute() -> dict[str, Any]:
+            groups, levels = self._likeness(clips)
+            return {
+                "groups": [asdict(group) for group in groups],
+                "levels": {name: asdict(level) for name, level in levels.items()},
+            }
 
-        stored = self._stored(every, ["levels", len(held_out)], compute)
-        return {name: Level(**values) for name, values in stored.items()}
+        parts = ["likeness", self.set_key(SetPart(label, PARTS[1]))]
+        stored = self._stored(self._likeness.recordings, parts, compute, known=parts[1] is not None)
+        groups = [GroupLikeness(**{**g, "takes": tuple(g["takes"]),
+                  "without_reference": tuple(g["without_reference"])})
+                  for g in stored["groups"]]  # fmt: skip
+        return groups, {name: Level(**values) for name, values in stored["levels"].items()}
+
+    @functools.cached_property
+    def _likeness(self) -> LikenessMeasurer:
+        recorded = {**recordings(self.reference)}
+        if isinstance(self.reference, Items):
+            recorded |= {item.id: ItemInterval(item) for item in self.reference.others}
+        every = [self._with_itself(name, source) for name, source in recorded.items()]
+        return LikenessMeasurer(self.measure, every, self.fps, self.without, self.seed)
 
     def _with_itself(self, name: str, source: Path | ItemInterval) -> Pair:
         """Return the pair of a recording with itself."""
         return Pair(name, name, None, source, source, take=self.takes.get(name, ""))
 
-    def _stored(self, own: Sequence[Pair], parts: Sequence[Any], compute: Callable) -> Any:
+    def _stored(
+        self, own: Sequence[Pair], parts: Sequence[Any], compute: Callable, known: bool = True
+    ) -> Any:
         """Return what was computed of recordings before, or compute and store it."""
         contents = [content_of(pair.reference) for pair in own]
         parts = [self._settings, *parts, contents, self.seed, _nesting(own)]
-        key = None if None in contents else digest_of(parts)
+        key = None if None in contents or not known else digest_of(parts)
         found = self.store.read(key)
         if found is None:
             found = compute()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,11 @@ from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.measuring.clips import Clip
 from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.measuring.speakers import (
-    TRAINING_SECONDS,
     SpeakerClips,
     TrainingMotion,
-    backwards,
     own_windows,
 )
+from gesturekit.evaluation.metrics.arms import ARM_KEYS, arm_windows, nearest_arm
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import (
     FPS,
@@ -36,7 +35,6 @@ from gesturekit.evaluation.metrics.hands import (
 from gesturekit.evaluation.metrics.two_sample import (
     LOW_QUANTILE,
     MotionWindows,
-    forward_votes,
     motion_windows,
     nearest_training,
     subsample,
@@ -116,8 +114,9 @@ class PooledMetrics:
         for names, compute in (
             (HAND_KEYS, self._hands),
             (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
-            (["one_nn", "within_reach", "forward"], self._windows),
+            (["one_nn", "within_reach"], self._windows),
             (["copying", "copying_low"], self._copying),
+            (list(ARM_KEYS.values()), self._copied_arms),
             (["calibration", "seed_spread", "sharpness"], self._calibration),
         ):
             try:
@@ -248,23 +247,19 @@ class PooledMetrics:
         return {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
 
     def _windows(self) -> dict[str, MetricResult]:
-        votes, ahead, reached = [], [], []
+        votes, reached = [], []
         for group in self._groups:
-            joints, recorded = group.joints, group.recorded
-            ours, theirs = (motion_windows(m, joints) for m in (group.generated, recorded))
-            back = motion_windows([backwards(motion) for motion in recorded], joints)
+            ours = motion_windows(group.generated, group.joints)
+            theirs = motion_windows(group.recorded, group.joints)
             right, drawn = two_sample_votes(ours, theirs, seed=self.seed)
             votes.append((right.sum(), drawn.sum()))
             self._vote(group, right, drawn, ours, theirs)
-            ahead.append(100.0 * forward_votes(ours, theirs, back))
-            self._keep("forward", _clip_means(group.clips[ours.clips], ahead[-1]))
             reached.append((len(theirs), 100.0 * within_reach(ours, theirs, seed=self.seed)))
         right, drawn = np.sum(votes, axis=0)
         windows, reach = np.transpose(reached)
         values = {
             "one_nn": float(right / drawn),
             "within_reach": float(np.average(reach, weights=windows)),
-            "forward": float(np.concatenate(ahead).mean()),
         }
         own, note = self._once("windows", self._own_windows)
         return {key: self._result(key, value, own.get(key), note) for key, value in values.items()}
@@ -307,12 +302,14 @@ class PooledMetrics:
         known |= values
 
     def _copying(self) -> dict[str, MetricResult]:
+        """Return distances to training motion; {} without any."""
+        if not self.training.motions:
+            return {}
         rng = np.random.default_rng(self.seed)
         every = []
         for group in self._groups:
-            among = self._among(group.joints) or _at_most(group.recorded)
             ours = subsample(motion_windows(group.generated, group.joints), rng)
-            every.append(nearest_training(ours, among, group.joints))
+            every.append(nearest_training(ours, self._among(group.joints), group.joints))
             self._keep("copying", _clip_means(group.clips[ours.clips], every[-1], np.median))
         distances = np.concatenate(every)
         median, low, ceiling = self._once("copying", self._own_copying)
@@ -328,32 +325,47 @@ class PooledMetrics:
         found = {key: self._result(key, value, own, note) for key, (value, own) in values.items()}
         return {**found, "copying": replace(found["copying"], ceiling=ceiling)}
 
+    def _copied_arms(self) -> dict[str, MetricResult]:
+        """Return distances of each arm to training motion; {} without any."""
+        results = {}
+        for side, key in ARM_KEYS.items() if self.training.motions else ():
+            every = []
+            for group in self._groups:
+                windows, clips = arm_windows(group.generated, side)
+                every.append(nearest_arm(windows, self._among(group.joints), side))
+                self._keep(key, _clip_means(group.clips[clips], every[-1], np.median))
+            own = self._once(key, partial(self._own_arm, side))
+            results[key] = self._result(key, float(np.median(np.concatenate(every))), own)
+        return results
+
+    def _own_arm(self, side: str) -> float:
+        """Return the median distance of held-out recordings' arms to training motion."""
+        return float(np.median(np.concatenate([
+            nearest_arm(arm_windows(group.recorded, side)[0], self._among(group.joints), side)
+            for group in self._groups
+        ])))  # fmt: skip
+
     def _among(self, joints: Sequence[str]) -> list[Motion]:
         """Return the training motion of all speakers that has these joints."""
         motions = self.training.motions
         return [motion for motion in motions if set(joints) <= set(motion.skeleton.names)]
 
     def _own_copying(self) -> tuple[float, float, Level]:
-        """Return median and 5 % quantile of the distances of held-out recordings to others.
+        """Return median and 5 % quantile of the distances of held-out recordings to training.
 
         Returns:
             both, and the ceiling of novelty: the medians of takes relative to all.
         """
         rng = np.random.default_rng(self.seed)
         quantiles, medians = [], []
-        single = not any(group.has_others for group in self._groups)
         for group in self._groups:
-            for mine, others in group.splits():
-                windows = subsample(motion_windows(mine, group.joints), rng)
-                among = self._among(group.joints) or _at_most(others)
-                distances = nearest_training(windows, among, group.joints)
-                quantiles.append(np.quantile(distances, (0.5, LOW_QUANTILE)))
-                takes = group.takes if group.training else [""] * len(mine)
-                take = np.array(takes)[windows.clips]
-                if single or group.has_others:
-                    medians += [np.median(distances[take == name]) for name in set(take.tolist())]
+            windows = subsample(motion_windows(group.recorded, group.joints), rng)
+            distances = nearest_training(windows, self._among(group.joints), group.joints)
+            quantiles.append(np.quantile(distances, (0.5, LOW_QUANTILE)))
+            take = np.array(group.takes)[windows.clips]
+            medians += [np.median(distances[take == name]) for name in set(take.tolist())]
         median, low = np.mean(quantiles, axis=0)
-        ceiling = level_of(CEILING, np.array(medians) / (median or 1.0), pieces=single)
+        ceiling = level_of(CEILING, np.array(medians) / (median or 1.0))
         return float(median), float(low), replace(ceiling, value=1.0)
 
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:
@@ -411,9 +423,3 @@ def _clip_means(
     clips, first = np.unique(owners[order], return_index=True)
     parts = np.split(values[order], first[1:])
     return {clip: float(mean(part)) for clip, part in zip(clips.tolist(), parts)}
-
-
-def _at_most(motions: list[Motion], seconds: float = TRAINING_SECONDS) -> list[Motion]:
-    """Return the first motions of at most that length together, and at least one."""
-    ends = np.cumsum([motion.duration for motion in motions])
-    return motions[: max(1, int(np.searchsorted(ends, seconds, side="right")))]

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 INTER_SAMPLES = 20
 """Samples of one recording that are compared with each other, at most."""
 ENOUGH_WINDOWS = 32
-"""Windows from which FGD is informative: from fewer, a covariance says so little that motion that
-hardly moves may be nearer to the recordings than other recordings are."""
+"""Windows, or clips of 10 s, from which a Fréchet distance is informative: from fewer, a covariance
+says so little that motion that hardly moves may be nearer to the recordings than others are."""
 INDEPENDENT = 0.8
 """Takes for each motion, or piece of one, from which a bootstrap over motions gives an interval."""
 _WRISTS = 20_000
@@ -259,6 +259,6 @@ def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None, apart: bo
         ours.n_generated,
         f"windows, against {ours.n_reference} of the recordings",
     )
-    enough = key not in ("fgd", "raw_fgd") or ours.n_generated >= ENOUGH_WINDOWS
+    enough = ours.n_generated >= ENOUGH_WINDOWS
     recording = None if top is None else top.value
     return MetricResult(key, interval, recording, note=ours.note, informative=enough)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,6 @@ from gesturekit.evaluation.measuring.clips import load_recording
 from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.metrics.hands import FPS
 from gesturekit.evaluation.metrics.two_sample import (
-    forward_votes,
     motion_windows,
     two_sample_accuracy,
     within_reach,
@@ -144,36 +143,20 @@ def own_windows(
     others: Sequence[Motion],
     joints: Sequence[str],
     seed: int,
-    reach: bool = True,
 ) -> dict[str, float]:
-    """Return 1-NN accuracy, direction of time and share within reach of recordings.
+    """Return 1-NN accuracy and share within reach of recordings.
 
     Args:
         held: held-out recordings, judged as if they had been generated.
         others: the recordings that they are compared with.
         joints: upper-body joints to compare.
         seed: seed of subsamples.
-        reach: False leaves out the share within reach, which needs longer recordings.
 
     Raises:
         MotionError: recordings that are too short, or lack a joint.
     """
     mine, theirs = motion_windows(held, joints), motion_windows(others, joints)
-    back = motion_windows([backwards(motion) for motion in others], joints)
-    values = {
+    return {
         "one_nn": two_sample_accuracy(theirs, mine, seed=seed),
-        "forward": 100.0 * float(forward_votes(mine, theirs, back).mean()),
+        "within_reach": 100.0 * within_reach(theirs, mine, seed=seed),
     }
-    if reach:
-        values["within_reach"] = 100.0 * within_reach(theirs, mine, seed=seed)
-    return values
-
-
-def backwards(motion: Motion) -> Motion:
-    """Return a motion with its frames in reverse order."""
-    return replace(
-        motion,
-        rotations=motion.rotations[::-1],
-        translation=motion.translation[::-1],
-        joint_translations={name: v[::-1] for name, v in motion.joint_translations.items()},
-    )

@@ -23,7 +23,7 @@ from gesturekit.evaluation.metrics.hands import (
     velocities,
     window_starts,
 )
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import left_right_pairs
 
 WINDOW, HOP = 1.0, 0.5
@@ -85,11 +85,6 @@ class MotionWindows:
             row[:] = self.frames[clip][first : first + _WIDTH].ravel()
         return values
 
-    def blocks(self) -> Iterator[np.ndarray]:
-        """Yield `values` in blocks, to save memory."""
-        for at in range(0, len(self), _BLOCK):
-            yield self.rows(np.arange(at, min(at + _BLOCK, len(self))))
-
 
 @dataclass(frozen=True)
 class Copying:
@@ -124,13 +119,16 @@ class Copying:
         return self.low / self.held_out_low
 
 
-def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> MotionWindows:
+def motion_windows(
+    motions: Motions, joints: Sequence[str] | None = None, *, mirrored: bool = False
+) -> MotionWindows:
     """Cut motions into windows of 1 s that begin every 0.5 s (rounded down to frames of 25 fps).
 
     Args:
         motions: one motion, or several. Clips shorter than 1 s have no window.
         joints: names of the upper-body joints to compare; None for those of the first motion.
             Windows can only be compared with windows of the same joints.
+        mirrored: exchange left and right; joints without a counterpart among `joints` keep both.
 
     Raises:
         MotionError: all clips are too short, a joint is missing, or body parts cannot be
@@ -146,7 +144,11 @@ def motion_windows(motions: Motions, joints: Sequence[str] | None = None) -> Mot
     """
     motions = as_list(motions)
     joints = upper_joints(motions[0].skeleton) if joints is None else joints
-    frames = tuple(_frames(body_centred(motion, joints)) for motion in motions)
+    paths = [body_centred(motion, joints) for motion in motions]
+    if mirrored:
+        turned = [_mirrored(path, joints, m.skeleton) for path, m in zip(paths, motions)]
+        paths = [path if turn is None else turn for path, turn in zip(paths, turned)]
+    frames = tuple(map(_frames, paths))
     first = [window_starts(len(clip), _WIDTH, HOP * FPS) for clip in frames]
     if not any(map(len, first)):
         raise MotionError(f"no clip is as long as a window of {WINDOW:g} s")
@@ -209,35 +211,6 @@ def two_sample_votes(
         right[place[chosen]] += label[nearest] == label
         drawn[place[chosen]] += 1
     return right, drawn
-
-
-def forward_votes(
-    generated: MotionWindows, recorded: MotionWindows, backwards: MotionWindows
-) -> np.ndarray:
-    """Return (N,) 1 for windows nearer to recordings than to recordings played backwards, else 0.
-
-    A tie is 0.5. It detects recordings that are played backwards; other motion has about 0.5.
-
-    Args:
-        generated: N windows.
-        recorded: windows of recordings.
-        backwards: windows of the same recordings in reverse order of frames.
-
-    Raises:
-        MotionError: windows of different joints.
-    """
-    _require_same_joints(generated, recorded)
-    ahead, back = (
-        np.concatenate(
-            [
-                np.min([_nearest(block, others) for others in other.blocks()], axis=0)
-                for block in generated.blocks()
-            ]
-        )
-        for other in (recorded, backwards)
-    )
-    tie = np.abs(ahead - back) < 1e-9
-    return np.where(tie, 0.5, (ahead < back).astype(np.float64))
 
 
 def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int = 0) -> float:
@@ -348,11 +321,6 @@ def nearest_training(
     return nearest
 
 
-def _nearest(values: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return (N,) distance of each row to the nearest of other rows."""
-    return frame_distances(values, others).min(axis=1)
-
-
 def _averages(values: np.ndarray) -> np.ndarray:
     """Return rows whose distances are at most those of windows (N, width · D), and near to them.
 
@@ -382,21 +350,23 @@ def _windows(frames: np.ndarray, starts: np.ndarray) -> np.ndarray:
 def _training_copies(training: Sequence[Motion], joints: Sequence[str]) -> Iterator[np.ndarray]:
     """Yield frames of the training motions, and of mirrored and time-stretched copies."""
     for motion in training:
-        swapped = {
-            name: other
-            for pair in left_right_pairs(motion.skeleton)
-            for name, other in (pair, pair[::-1])
-        }
-        # A mirrored joint that is not among `joints` has no place to go: leave the copy out.
-        counterparts = [swapped.get(name, name) for name in joints]
         paths = body_centred(motion, joints)
-        copies = [paths]
-        if set(counterparts) == set(joints):
-            order = [list(joints).index(name) for name in counterparts]
-            copies.append(paths[:, order] * (-1.0, 1.0, 1.0))
-        for copy in copies:
+        turned = _mirrored(paths, joints, motion.skeleton)
+        for copy in [paths] if turned is None else [paths, turned]:
             for stretch in STRETCHES:
                 yield _frames(_stretched(copy, stretch))
+
+
+def _mirrored(paths: np.ndarray, joints: Sequence[str], rig: Skeleton) -> np.ndarray | None:
+    """Return body-centred paths (T, J, 3) with left and right exchanged.
+
+    None if the counterpart of a joint is not among `joints`: it has no place to go.
+    """
+    swapped = {name: other for pair in left_right_pairs(rig) for name, other in (pair, pair[::-1])}
+    counterparts = [swapped.get(name, name) for name in joints]
+    if set(counterparts) != set(joints):
+        return None
+    return paths[:, [list(joints).index(name) for name in counterparts]] * (-1.0, 1.0, 1.0)
 
 
 def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:

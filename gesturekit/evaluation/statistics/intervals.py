@@ -33,6 +33,9 @@ FEW = 5
 """Least number of takes for an interval or a test."""
 LEAST_FREEDOM = 3
 """Least number of takes beyond one of each speaker."""
+RESOLUTION = 0.1
+"""Share of the mean below which the logarithm of a value says more of the resolution of measurement
+than of skewness: a clip that does not move has 1e-15 m/s."""
 ANY = (-np.inf, np.inf)
 """Bounds of a metric without any."""
 
@@ -125,8 +128,9 @@ def standard_error(
         inside = (within[0] < means.min()) and (means.max() < within[1])
         slopes = _slope(means, within if inside else ANY)
         spread = _spread_of_takes(values, speakers, slopes, free)
-        if inside and np.isinf(within[1]) and within[0] < values.min():
-            logs = _scale(values, within)
+        if inside and np.isinf(within[1]) and not np.isinf(within[0]):
+            least = within[0] + RESOLUTION * (values.mean() - within[0])
+            logs = _scale(np.maximum(values, least), within)
             spread = max(spread, _spread_of_takes(logs, speakers, np.ones(len(takes)), free))
         return float(spread * np.sqrt((takes / slopes**2).sum()) / len(values)), free
     if len(takes) >= FEW:
@@ -158,12 +162,22 @@ def bounds_of(
         speakers: (R,) number of each take's speaker, from 0.
         within: the bounds of the metric.
     """
+    error = standard_error(values, speakers, within)
+    return None if error is None else bounds_about(value, *error, within)
+
+
+def bounds_about(
+    value: float, error: float, free: int, within: tuple[float, float] = ANY
+) -> tuple[float, float] | None:
+    """Return the 95 % interval of a value with a standard error of `free` degrees of freedom.
+
+    None for a value at a bound of its metric.
+    """
     from scipy.stats import t
 
-    error = standard_error(values, speakers, within)
-    if error is None or not within[0] < value < within[1]:
+    if not within[0] < value < within[1]:
         return None
-    half = t.ppf(0.5 + LEVEL / 2, error[1]) * error[0] * _slope(value, within)
+    half = t.ppf(0.5 + LEVEL / 2, free) * error * _slope(value, within)
     at = _scale(value, within)
     return _unscale(at - half, within), _unscale(at + half, within)
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from gesturekit.evaluation.results import ClipResult, Level, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import LEVEL, Takes
+from gesturekit.evaluation.statistics.thresholds import LEAST_LIKE, LIKE_SPREADS
 
-CEILING, OTHER_SPEAKER, MEAN_POSE, OTHER_UTTERANCE = (
+CEILING, MEAN_POSE, OTHER_UTTERANCE = (
     "the speaker's other takes",
-    "another speaker",
     "mean pose",
     "another utterance",
 )
@@ -65,11 +65,22 @@ def reached_floor(result: MetricResult) -> Level | None:
     """Return the highest floor that is not below the ceiling, so that a score says nothing.
 
     It is below if Student's t of the two means, with the spread of takes pooled, is significant at
-    5 %, one-sided; without any spread, if its value is.
+    5 %, one-sided; without any spread, if its value is. A floor of likeness is below if it is less
+    than what a motion like the speaker has.
     """
     ceiling = result.ceiling
+    if result.key == "likeness":
+        reached = [floor for floor in result.floors if floor.value >= least_likeness(ceiling)]
+        return max(reached, key=lambda level: level.value, default=None)
     reached = [] if ceiling is None else [f for f in result.floors if not _differ(ceiling, f)]
     return max(reached, key=lambda level: level.value, default=None)
+
+
+def least_likeness(ceiling: Level | None) -> float:
+    """Return the least likeness of a motion like the speaker: that of 19 of 20 other takes."""
+    if ceiling is None:
+        return LEAST_LIKE
+    return max(LEAST_LIKE, ceiling.value - LIKE_SPREADS * (ceiling.spread or 0.0))
 
 
 def _differ(ceiling: Level, floor: Level) -> bool:

@@ -8,12 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import ClipResult, Interval, Level, MetricResult
+from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES
+from gesturekit.evaluation.results import ClipResult, GroupLikeness, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, scaled_like
 from gesturekit.evaluation.statistics.levels import TRAINING, with_timing_levels
-from gesturekit.evaluation.statistics.questions import likeness_result, own_one_nn
-from gesturekit.evaluation.statistics.thresholds import ABOVE_CHANCE, SAME, SATURATED
+from gesturekit.evaluation.statistics.likeness import likeness_result
+from gesturekit.evaluation.statistics.thresholds import (
+    ABOVE_CHANCE,
+    ENOUGH_SECONDS,
+    SAME,
+    SATURATED,
+)
 
 SYNC_SECONDS = 0.4
 """Seconds of arm speed that count as one independent value: the standard deviation of sync over
@@ -26,7 +31,7 @@ def metric_results(
     clips: Sequence[ClipResult],
     sets: Mapping[str, Mapping[str, Any]],
     ceilings: Mapping[str, tuple[Interval, str]],
-    levels: Mapping[str, Level],
+    likeness: tuple[Sequence[GroupLikeness], Mapping[str, Level]] = ((), {}),
 ) -> dict[str, MetricResult]:
     """Return {key of `definitions`: result}.
 
@@ -34,7 +39,7 @@ def metric_results(
         clips: the clips of a model; measures that compare windows of all clips are added to them.
         sets: {part: metrics of the set}, see `measuring.measurer`.
         ceilings: the recordings' own values, see `measuring.ceilings`.
-        levels: ceiling and floors of likeness, see `measuring.levels`.
+        likeness: by group, with ceiling and floors, see `measuring.likeness`.
     """
     for clip, values in zip(clips, sets["pooled"].get("by_clip", ())):
         clip.metrics |= values
@@ -66,27 +71,33 @@ def metric_results(
         )
         found["copying"] = replace(copying, ceiling=None)
     for metric, keys in _OF_SPEECH.items():
-        if metric in found and not informative(clips, metric):
+        if metric in found and not above_chance(clips, metric):
             found |= {k: replace(found[k], informative=False) for k in keys if k in found}
     cca = found.get("cca")
     if cca is not None and cca.recording is not None and cca.recording > SATURATED:
         found["cca"] = replace(cca, informative=False)
+    if sum(clip.seconds for clip in clips) < ENOUGH_SECONDS:
+        few = [key for key in found if DEFINITIONS[key].group == PATCHES]
+        found |= {key: replace(found[key], informative=False) for key in few}
     if "in_time" in found:
         found["in_time"] = with_timing_levels(found["in_time"], clips)
-    like = likeness_result(clips, own_one_nn(found), levels)
+    like = likeness_result(*likeness, len(clips))
     return found if like is None else {**found, "likeness": like}
 
 
-def informative(clips: Sequence[ClipResult], metric: str) -> bool:
-    """Return whether the recordings' own sync (BAS, BC) is above its chance level.
+def above_chance(clips: Sequence[ClipResult], metric: str, *, of_recordings: bool = True) -> bool:
+    """Return whether sync (BAS, BC) of the recordings, or of the model, is above its chance level.
 
     Its values over circular shifts of the sound give the level and its standard deviation; both
-    are pooled over recordings.
+    are pooled over recordings, of samples of which the first is taken.
     """
-    own = {(clip.pair.stem, clip.pair.window): clip for clip in clips}
+    first: dict[tuple[str, int | None], ClipResult] = {}
+    for clip in clips:
+        first.setdefault((clip.pair.stem, clip.pair.window), clip)
     above, variance = [], []
-    for clip in own.values():
-        value, level, z = (clip.recording.get(metric + end) for end in ("", "_chance", "_z"))
+    for clip in first.values():
+        values = clip.recording if of_recordings else clip.metrics
+        value, level, z = (values.get(metric + end) for end in ("", "_chance", "_z"))
         if value is None or level is None or z is None:
             continue
         deviation = (value - level) / z if z else 0.0

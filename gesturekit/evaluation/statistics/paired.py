@@ -27,8 +27,7 @@ from gesturekit.evaluation.statistics.intervals import (
     pseudo_values,
     standard_error,
 )
-from gesturekit.evaluation.statistics.likeness import MEASURES
-from gesturekit.evaluation.statistics.questions import likeness_of, own_one_nn
+from gesturekit.evaluation.statistics.likeness import pseudo_values_of
 
 NEARER = 0.75
 """Smallest confidence with which the best model must be nearer to the recordings."""
@@ -118,6 +117,8 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
 
     1 if it is not surely enough the nearer one (`NEARER`).
     """
+    if key == "likeness":
+        return _likeness_difference(one, other)
     both = [_by_recording(model) for model in (one, other)]
     names = sorted(
         name for name in both[0].keys() & both[1].keys()
@@ -135,6 +136,22 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
         return None
     farther = p_of_difference(their_distances, our_distances, takes.speakers, above=True)
     return p if farther is not None and farther <= 1.0 - NEARER else 1.0
+
+
+def _likeness_difference(one: ModelResult, other: ModelResult) -> float | None:
+    """Return the p-value of the difference of two likenesses, take by take."""
+    ours, theirs = (pseudo_values_of(model.metrics["likeness"].groups) for model in (one, other))
+    takes = sorted(ours.keys() & theirs.keys())
+    names = sorted({group for group, _ in takes})
+    one_by_take, other_by_take = (
+        np.array([side[take] for take in takes]) for side in (ours, theirs)
+    )
+    speakers = np.array([names.index(group) for group, _ in takes], int)
+    p = p_of_difference(one_by_take, other_by_take, speakers)
+    if p is None:
+        return None
+    nearer = p_of_difference(one_by_take, other_by_take, speakers, above=True)
+    return p if nearer is not None and nearer <= 1.0 - NEARER else 1.0
 
 
 def p_of_difference(
@@ -166,14 +183,11 @@ def _take_values(
 ) -> tuple[np.ndarray, np.ndarray, Takes]:
     """Return a model's values (R,) by take, their distances to the recordings', and the takes.
 
-    Those of likeness, and all distances, are pseudo-values of the jackknife.
+    The distances are pseudo-values of the jackknife.
     """
     takes = Takes.of([clip.pair for clip in clips])
     if takes.count < FEW:  # not tested
         return np.zeros(takes.count), np.zeros(takes.count), takes
-    if key == "likeness":
-        ours = pseudo_values(likeness_of(clips, own_one_nn(model.metrics)), takes.count)
-        return ours, 1.0 - ours, takes
     ours = takes.means([clip.metrics[key] for clip in clips])
     theirs = np.full(len(ours), model.metrics[key].recording)
     if all(key in clip.recording for clip in clips):
@@ -186,8 +200,6 @@ def _take_values(
 
 def _has(key: str, clips: Sequence[ClipResult]) -> bool:
     """True if the row can be computed for each of the clips."""
-    if key == "likeness":
-        return any(measure in clips[0].metrics for measure in MEASURES)
     return all(key in clip.metrics for clip in clips)
 
 

@@ -6,12 +6,13 @@ speech." All thresholds are in `thresholds`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
+from gesturekit.evaluation.metrics.arms import ARM_KEYS
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     ClipResult,
@@ -21,26 +22,16 @@ from gesturekit.evaluation.results import (
     ModelResult,
 )
 from gesturekit.evaluation.statistics import thresholds
-from gesturekit.evaluation.statistics.groups import by_group
-from gesturekit.evaluation.statistics.intervals import (
-    FEW,
-    Takes,
-    interval_about,
-    pseudo_values,
-)
+from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.levels import (
-    CEILING,
     add_blind_floors,
+    least_likeness,
     level_text,
     on_its_floor,
     reached_floor,
 )
-from gesturekit.evaluation.statistics.likeness import (
-    ASPECTS,
-    MEASURES,
-    credits,
-    likeness,
-)
+from gesturekit.evaluation.statistics.likeness import ASPECTS, aspects_of
+from gesturekit.evaluation.statistics.model_metrics import above_chance
 from gesturekit.wording import listed
 
 IN_TIME, LIKE, NEW = (
@@ -49,7 +40,6 @@ IN_TIME, LIKE, NEW = (
     "Is it new?",
 )
 UNANSWERABLE = "cannot be answered"
-OTHER_TAKES = "take against the speaker's others"
 Results = Mapping[str, MetricResult]
 
 
@@ -78,7 +68,7 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
             Finding(question, key, NOT_ASKED, f"Not asked, as {why}")
             for question, key in ((IN_TIME, "in_time"), (LIKE, "likeness"), (NEW, "novelty"))
         ]
-    found = [_timing(clips, metrics), _likeness(clips, metrics), _novelty(metrics)]
+    found = [_timing(clips, metrics), _likeness(metrics), _novelty(clips, metrics)]
     return [_on_its_line(finding, metrics.get(finding.key)) for finding in found]
 
 
@@ -112,97 +102,6 @@ def _no_room(result: MetricResult) -> str:
         return ""
     ceiling = level_text(result.ceiling)
     return f"the floor, {level_text(floor)}, is not surely below the ceiling, {ceiling}."
-
-
-def likeness_result(
-    clips: Sequence[ClipResult], own_one_nn: float, levels: Mapping[str, Level]
-) -> MetricResult | None:
-    """Return the likeness of a model's clips with its interval over takes.
-
-    Args:
-        clips: the clips.
-        own_one_nn: 1-NN accuracy of the recordings among each other.
-        levels: ceiling and floors by name, see `statistics.levels`.
-    """
-    measure = likeness_of(clips, own_one_nn)
-    takes = Takes.of([clip.pair for clip in clips])
-    value = float(measure(np.full((1, takes.count), 1 / takes.count))[0])
-    if np.isnan(value):
-        return None
-    enough = takes.count >= FEW
-    units = pseudo_values(measure, takes.count) if enough else np.full(takes.count, value)
-    interval = interval_about(value, units, takes, DEFINITIONS["likeness"].within)
-    ceiling = levels.get(CEILING)
-    floors = tuple(level for name, level in levels.items() if name != CEILING)
-    if ceiling is None:
-        return MetricResult("likeness", interval, floors=floors)
-    compared = "piece of one take against the others" if ceiling.pieces else OTHER_TAKES
-    note = f"recording: each {compared}"
-    return MetricResult(
-        "likeness", interval, ceiling.value, note=note, ceiling=ceiling, floors=floors
-    )
-
-
-def own_one_nn(metrics: Results) -> float:
-    """Return the 1-NN accuracy of the recordings among each other, or its usual value."""
-    result = metrics.get("one_nn")
-    known = None if result is None else result.recording
-    return thresholds.USUAL_ONE_NN if known is None else known
-
-
-def likeness_of(
-    clips: Sequence[ClipResult], own_one_nn: float
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of weights (B, R) of takes (see `Takes.of`) to likenesses (B,).
-
-    Each group of clips (`groups_of`) is compared with its own recordings; groups are averaged with
-    the weights of their takes.
-    """
-    groups = by_group([clip.pair for clip in clips]).values()
-
-    def measured(weights: np.ndarray) -> np.ndarray:
-        total, shares = np.zeros(len(weights)), np.zeros(len(weights))
-        for group in groups:
-            share = weights @ group.sum(axis=1)
-            found = likeness(*_means(clips, weights @ group), own_one_nn)
-            if found is not None:
-                total += np.where(share > 0.0, share * np.nan_to_num(found), 0.0)
-                shares += share
-        return np.divide(total, shares, out=np.full(len(weights), np.nan), where=shares > 0.0)
-
-    return measured
-
-
-def likeness_by_group(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
-    """Return {group of `groups_of`: likeness} of the groups that can be compared."""
-    found = {}
-    for name, group in by_group([clip.pair for clip in clips]).items():
-        value = likeness(*_means(clips, group.sum(axis=0)[None]), own_one_nn)
-        if value is not None:
-            found[name] = float(value[0])
-    return found
-
-
-def _means(
-    clips: Sequence[ClipResult], weights: np.ndarray
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return {measure: (B,) means over clips} of the model and of the recordings.
-
-    Args:
-        clips: n clips.
-        weights: (B, n) their weights. A measure that a clip with a weight lacks is left out.
-    """
-    counts = np.asarray(weights.any(axis=0))
-    total = np.maximum(weights.sum(axis=1), 1e-12)
-
-    def means(sides: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
-        return {
-            key: weights @ np.array([side.get(key, 0.0) for side in sides]) / total
-            for key in MEASURES
-            if all(key in side for side, known in zip(sides, counts) if known)
-        }
-
-    return means([clip.metrics for clip in clips]), means([clip.recording for clip in clips])
 
 
 def defects(metrics: Results) -> list[str]:
@@ -239,8 +138,11 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> Finding:
         return _timing_without_recordings(clips, metrics)
     low = result.interval.low
     share = result.interval.value / result.recording
-    beyond = low is not None and low <= 0.0 and share < thresholds.IN_TIME
-    if share < thresholds.LOOSELY_IN_TIME or beyond or on_its_floor(result):
+    if low is None:
+        lucky = "sync" in metrics and not above_chance(clips, "sync", of_recordings=False)
+    else:
+        lucky = low <= 0.0 and share < thresholds.IN_TIME
+    if share < thresholds.LOOSELY_IN_TIME or lucky or on_its_floor(result):
         return Finding(IN_TIME, "in_time", "no", "Not in time with the speech.")
     if share < thresholds.IN_TIME:
         return Finding(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
@@ -275,79 +177,78 @@ def _above_chance(metrics: Results) -> bool:
     return sds is not None and sds.interval.value >= thresholds.ABOVE_CHANCE
 
 
-def _likeness(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+def _likeness(metrics: Results) -> Finding:
     result = metrics.get("likeness")
     if result is None:
-        return Finding(LIKE, "likeness", "not measured", "Not measured: no body parts to compare.")
+        text = "Not measured: no body parts to compare, or fewer than three clips of the speaker."
+        return Finding(LIKE, "likeness", "not measured", text)
     if not result.informative:
-        return _cannot_be_answered(LIKE, "likeness", _no_room(result))
-    found = _aspects(clips, own_one_nn(metrics))
-    missed = [a for a in ASPECTS if a in found and found[a] < thresholds.NAMED_ASPECT]
-    missed.sort(key=found.__getitem__)
-    differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
-    differs += _speakers(clips, own_one_nn(metrics))
+        few = "takes of this speaker are too unlike one another, or too short, to compare with."
+        return _cannot_be_answered(LIKE, "likeness", _no_room(result) or few)
     value = result.interval.value
-    if on_its_floor(result):
-        return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
-    top = 1.0 if result.recording is None else min(1.0, result.recording)
-    if value >= min(thresholds.LIKE, top) and not missed:
-        return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{differs}.")
-    if value >= thresholds.PARTLY_LIKE * top:
-        much = "mostly" if value >= min(thresholds.LIKE, top) else "somewhat"
-        return Finding(LIKE, "likeness", "partly", f"Moves {much} like this speaker{differs}.")
+    untested = "" if result.tested_against_speaker else "; not tested against another speaker"
+    if value >= least_likeness(result.ceiling) and on_its_floor(result) is None:
+        return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{untested}.")
+    aspects = aspects_of(result.groups)
+    missed = sorted(
+        (a for a in aspects if aspects[a] < thresholds.NAMED_ASPECT), key=aspects.__getitem__
+    )
+    differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
+    differs += _speakers(result) + untested
+    if value >= thresholds.LEAST_PARTLY_LIKE and on_its_floor(result) is None:
+        return Finding(LIKE, "likeness", "partly", f"Moves somewhat like this speaker{differs}.")
     return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
 
 
-def _aspects(clips: Sequence[ClipResult], own_one_nn: float) -> dict[str, float]:
-    """Return the credit of each aspect, averaged over groups as `likeness_of` does."""
-    takes = Takes.of([clip.pair for clip in clips]).count
-    found: dict[str, list[tuple[float, float]]] = {}
-    for group in by_group([clip.pair for clip in clips]).values():
-        weights = group.sum(axis=0)[None] / takes
-        for aspect, credit in credits(*_means(clips, weights), own_one_nn).items():
-            found.setdefault(aspect, []).append((weights.sum(), float(credit[0])))
-    return {
-        aspect: sum(share * credit for share, credit in known) / sum(share for share, _ in known)
-        for aspect, known in found.items()
-    }
-
-
-def _speakers(clips: Sequence[ClipResult], own_one_nn: float) -> str:
-    """Return the likeness of each speaker in words, if they differ; else ""."""
-    found = likeness_by_group(clips, own_one_nn)
-    if max(found.values()) - min(found.values()) < thresholds.SPEAKERS_DIFFER:
+def _speakers(result: MetricResult) -> str:
+    """Return the likeness to each speaker in words, if they differ; else ""."""
+    found = {group.name: group.value for group in result.groups}
+    if max(found.values(), default=0.0) - min(found.values(), default=0.0) < (
+        thresholds.SPEAKERS_DIFFER
+    ):
         return ""
     each = [f"{name or 'unnamed'} {value:.2f}" for name, value in found.items()]
     return f"; it differs between speakers: {listed(each, 6)}"
 
 
-def _novelty(metrics: Results) -> Finding:
-    result, low = metrics.get("novelty"), metrics.get("copying_low")
+def _novelty(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+    result, still = metrics.get("novelty"), metrics.get("near_still")
+    if still is not None and still.interval.value >= thresholds.MOTIONLESS:
+        text = "the hands hardly move, and what does not move is near to any motion."
+        return _cannot_be_answered(NEW, "novelty", text)
     if result is None:
-        text = "Not measured: the clips are too short, or the rig's arms and legs are not known."
-        return Finding(NEW, "novelty", "not measured", text)
-    among = "training motion" if "training split" in result.note else "the recordings"
+        splits = {getattr(getattr(c.pair.reference, "item", None), "split", "") for c in clips}
+        text = "the clips are too short, or the rig's arms and legs are not known."
+        if splits == {"train"}:
+            text = "these are the recordings that the model was trained on; evaluate others."
+        elif "one_nn" in metrics:
+            text = "no training motion is given; name a manifest that has a training split."
+        return Finding(NEW, "novelty", "not measured", f"Not asked: {text}")
     if not result.informative:
         text = (
-            f"the recordings themselves are the same as {among}, or do not move. Look for one "
-            "recording in two splits."
+            "the recordings themselves are the same as training motion, or do not move. Look for "
+            "one recording in two splits."
         )
         return _cannot_be_answered(NEW, "novelty", text)
-    now_and_then = low is not None and low.recording and (
-        low.interval.value < thresholds.OCCASIONALLY_COPIED * low.recording
-    )  # fmt: skip
+    ratios = {f"the {side} arm": _ratio(metrics, key) for side, key in ARM_KEYS.items()}
+    arms = [arm for arm, ratio in ratios.items() if ratio is not None and ratio < thresholds.COPIED]
+    seeds = _seeds(metrics)
     if result.interval.value < thresholds.COPIED:
-        return Finding(NEW, "novelty", "no", f"Mostly copied from {among}{_seeds(metrics)}.")
+        return Finding(NEW, "novelty", "no", f"Mostly copied from training motion{seeds}.")
+    if arms:
+        text = f"Mostly copied from training motion: {' and '.join(arms)}{seeds}."
+        return Finding(NEW, "novelty", "no", text)
     if result.interval.value < thresholds.NEAR:
-        text = f"Nearer to {among} than other recordings are: partly copied, or less lively"
-        return Finding(NEW, "novelty", "no", f"{text}{_seeds(metrics)}.")
-    if now_and_then:
-        text = f"New, but occasionally copied from {among}{_seeds(metrics)}."
+        text = "Nearer to training motion than other recordings are: partly copied, or less lively"
+        return Finding(NEW, "novelty", "no", f"{text}{seeds}.")
+    lowest = _ratio(metrics, "copying_low")
+    if lowest is not None and lowest < thresholds.OCCASIONALLY_COPIED:
+        text = f"New, but occasionally copied from training motion{seeds}."
         return Finding(NEW, "novelty", "partly", text)
-    text = f"New: as far from {among} as other recordings"
+    text = "New: as far from training motion as other recordings"
     if _is_above(result.interval.value, result.ceiling):
-        text = f"New: farther from {among} than other recordings, as odd motion is too"
-    return Finding(NEW, "novelty", "yes", f"{text}{_seeds(metrics)}.")
+        text = "New: farther from training motion than other recordings, as odd motion is too"
+    return Finding(NEW, "novelty", "yes", f"{text}{seeds}.")
 
 
 def _seeds(metrics: Results) -> str:

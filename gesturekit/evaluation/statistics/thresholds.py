@@ -24,20 +24,26 @@ SHAKEN = 5.0
 
 FULL_CREDIT, NO_CREDIT = 1.25, 2.5
 """Ratio of two values up to which an aspect of likeness has the credit 1, and from which 0."""
-USUAL_ONE_NN = 0.6
-"""1-NN accuracy with full credit: that between recordings of one speaker."""
 FORWARD = 30.0
 """Percentage of windows that are nearest to motion played forwards, above which the credit is 1."""
-LIKE, PARTLY_LIKE = 0.85, 0.6
-"""Likeness for yes; and for partly, relative to that of the speaker's other recordings."""
-MOST_ONE_NN = 0.9
-"""1-NN accuracy with full credit, at most: nearer to 1, its differences say nothing."""
+SIDED = (30.0, 50.0)
+"""Percentage of windows that are nearer to recordings than to mirrored ones, up to which the credit
+is 0, and from which 1."""
+LEAST_CREDIT = 0.05
+"""Credit that an aspect counts at least, in a geometric mean."""
+LEAST_OWN = 0.2
+"""Score of the speaker's own takes below which likeness to them cannot be asked for."""
+LIKE_SPREADS, LEAST_LIKE, LEAST_PARTLY_LIKE = 1.64, 0.7, 0.6
+"""Likeness for yes: that of other takes of the speaker less this many of its standard deviations
+(1 in 20 takes is below), and this value at least; for partly, at least."""
 LEAST_IN_STYLE = 3
 """Recordings of each style of a speaker from which styles are compared one by one."""
 SPEAKERS_DIFFER = 0.2
 """Difference of likeness between speakers from which they are named."""
 NAMED_ASPECT = 0.6
-"""Credit of an aspect below which it is named."""
+"""Credit of an aspect, over the speaker's own, below which it is named."""
+ENOUGH_SECONDS = 32.0
+"""Seconds of generated motion from which patch metrics are informative."""
 SATURATED = 0.99
 """CCA of one recording with another above which the metric cannot tell motions apart: clips with
 few frames and many joints."""
