@@ -53,6 +53,7 @@ ZEROEGGS = {
     "network.farthest_view": (75, "code"),
     "network.dropout": (0.1, "code"),
     "network.architecture": ("conformer", "3.2"),
+    "network.step_angles": ("float64", "deviates: the code has float32"),
     "noise.steps": (100, "Table 1, A.1"),
     "noise.first_beta": (0.0074, "A.1"),
     "noise.last_beta": (0.78, "A.1"),
