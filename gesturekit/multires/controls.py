@@ -42,14 +42,3 @@ class MultiresControls(Controls, total=False):
     The result has the model's own frame rate, unless fps is given."""
     keyframe_level: Annotated[int, Control(1, kind=int, least=1, metavar="N")]
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
-    keep: Annotated[
-        Mapping[float, str | Path | Motion] | None,
-        Control(
-            kind=Path,
-            metavar="FILE[@SECONDS],...",
-            excludes=PLACING,
-            note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
-        ),
-    ]
-    """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
-    position; the model generates the motion before, between and after them (in-betweening)."""
