@@ -1,4 +1,4 @@
-"""In-betweening: given frames of a motion stay, and the model makes the rest."""
+"""Constraint of in-betweening: given frames of a motion stay, and the model makes the rest."""
 
 from __future__ import annotations
 
