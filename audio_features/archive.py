@@ -23,6 +23,7 @@ to a half or a third; zeros, to a thousandth."""
 _TAIL = 1 << 17  # the end of an archive: 22 bytes, and a comment of up to 64 KiB
 _MAX_DIRECTORY = 1 << 20  # bytes of the list of members: ten thousand of them
 _END = struct.Struct("<12xI6x")  # end record of a zip: the size of the list of members
+_END_64 = struct.Struct("<40xQ8x8xQ4x")  # that size, and the place of this record
 
 
 def read_bytes(path: Path, most: int, error: type[Exception]) -> bytes:
@@ -159,7 +160,7 @@ def open_archive(path: str | os.PathLike[str], error: type[Exception]) -> Iterat
     try:
         if path.exists() and not path.is_file():  # reading a pipe may never end
             raise ValueError("not a regular file")
-        _check_directory(path)
+        check_directory(path)
         members = zipfile.ZipFile(path)
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
@@ -176,8 +177,13 @@ _READERS = {
 """Readers of an array's header by the version of the format; no plain array needs another one."""
 
 
-def _check_directory(path: Path) -> None:
-    """Refuse a list of members that zipfile would need gigabytes to read."""
+def check_directory(path: Path, *, zip64: bool = False) -> None:
+    """Raise ValueError for a list of members that zipfile would need gigabytes to read.
+
+    Args:
+        path: of a zip archive.
+        zip64: whether it may be one of the format for more than 4 GiB, as torch writes.
+    """
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _TAIL))
@@ -187,8 +193,13 @@ def _check_directory(path: Path) -> None:
         raise ValueError("it is not a zip archive, or is truncated")
     (directory,) = _END.unpack_from(tail, at)
     if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
-        raise ValueError("an archive of more than 4 GiB; cut the recording into pieces")
+        if not zip64:
+            raise ValueError("an archive of more than 4 GiB; cut the recording into pieces")
+        start = at - _END_64.size
+        directory, place = _END_64.unpack_from(tail, start) if start >= 0 else (0, 0)
+        if place != size - len(tail) + start:
+            raise ValueError("it is not a whole zip archive")
     if directory > _MAX_DIRECTORY:
         raise ValueError(
-            f"its list of members takes {directory} bytes; a recording has a few arrays"
+            f"its list of members takes {directory} bytes, at most {_MAX_DIRECTORY} are read"
         )

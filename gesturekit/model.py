@@ -205,6 +205,17 @@ class Controls(TypedDict, total=False):
     followed."""
     like: Annotated[str | Path | Motion | None, Control(kind=Path, metavar="OTHER.bvh")]
     """A motion on any human rig, to be regenerated in the manner of the model's recordings."""
+    keep: Annotated[
+        "Mapping[float, str | Path | Motion] | None",
+        Control(
+            kind=Path,
+            metavar="FILE[@SECONDS],...",
+            excludes=(*PLACING, "path", "like", "speaker"),
+            note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
+        ),
+    ]
+    """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
+    position; the model generates the motion before, between and after them (in-betweening)."""
     state: Annotated["str | Path | np.ndarray | None", Control(kind=Path, metavar="FILE.npy")]
     """State of movement in place of a drawn one, as the model's `state` returns it; cut to the
     motion, or held to its end."""

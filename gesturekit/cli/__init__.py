@@ -39,6 +39,7 @@ VERBS = (
     "study",
     "genea",
     "fit-features",
+    "convert-checkpoint",
     "cache",
     "doctor",
 )

@@ -50,6 +50,9 @@ class NetworkConfig(Settings):
     architecture: Literal["conformer", "diffwave"] = "conformer"
     """`diffwave` is the paper's ablation LDA-DW: one dilated convolution instead of the Conformer
     stack. It has no dilation 0; the paper's cycle is 1, 2, 4 ... 512."""
+    step_angles: Literal["float64", "float32"] = "float64"
+    """Precision of the angles of the step embedding, which reach 1e6 radians: in float32, as in the
+    released code and its checkpoints, their sines are off by up to 0.08."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

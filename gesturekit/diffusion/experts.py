@@ -240,6 +240,8 @@ def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
         yield f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model"
     if theirs.makes_root != ours.makes_root:
         yield "only one of the two follows a path"
+    if theirs.turn_first != ours.turn_first:
+        yield "only one of the two has the motion vector of the released code"
     ratio = other.normaliser.scale / first.normaliser.scale
     worst = float(ratio[(ratio.log().abs()).argmax()])
     places = (theirs.references, ours.references), (theirs.side, ours.side)

@@ -52,11 +52,14 @@ class DeltaRepresentation(ModelJoints):
         makes_root: whether the vector has displacement columns; otherwise a path moves the root.
         side: (3,) direction of the body's left in the root joint's frame.
         references: (K, 4) mean rotations that maps are relative to; the root's without heading.
+        turn_first: whether a displacement is relative to the heading of its frame, as in the
+            released code, and not to the heading halfway from the frame before.
     """
 
     makes_root: bool
     side: np.ndarray
     references: np.ndarray
+    turn_first: bool = False
 
     @classmethod
     def fit(
@@ -88,6 +91,7 @@ class DeltaRepresentation(ModelJoints):
             "makes_root": self.makes_root,
             "side": self.side.tolist(),
             "references": self.references.tolist(),
+            "turn_first": self.turn_first,
         }
 
     @classmethod
@@ -98,6 +102,7 @@ class DeltaRepresentation(ModelJoints):
             makes_root=bool(values["makes_root"]),
             side=np.array(values["side"], dtype=np.float64),
             references=np.array(values["references"], dtype=np.float64),
+            turn_first=bool(values["turn_first"]),
         )
 
     @property
@@ -143,7 +148,7 @@ class DeltaRepresentation(ModelJoints):
         height = motion.positions()[:, self.root, 1:2] / self.scale
         columns = [maps.reshape(motion.n_frames, -1), height]
         if self.makes_root:
-            columns.append(path.scaled(1 / self.scale).deltas())
+            columns.append(path.scaled(1 / self.scale).deltas(turn_first=self.turn_first))
         return np.concatenate(columns, axis=-1)
 
     def decode(
@@ -169,7 +174,7 @@ class DeltaRepresentation(ModelJoints):
         n_frames, size = len(values), self.scale * self.size_of(skeleton)
         if self.makes_root:
             deltas = values[:, self.root_columns] * [1.0, size, size]
-            path = RootPath.from_deltas(deltas, fps, start)
+            path = RootPath.from_deltas(deltas, fps, start, turn_first=self.turn_first)
         assert path is not None
         rotations = self.fixed_pose(n_frames)
         index = self.indices

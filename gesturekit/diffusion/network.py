@@ -266,9 +266,10 @@ class Denoiser(nn.Module):
 
     def _steps(self, step: Tensor) -> Tensor:
         """Embed steps (B,) as the input (blocks, B, channels) of each block."""
-        # In double precision: angles reach 1e6 radians, too large for float32.
-        turn = 10 ** torch.linspace(0, 4, FREQUENCIES, dtype=torch.float64, device=step.device)
-        angle = step.double()[:, None] * turn
+        # By default in double precision: angles reach 1e6 radians, too large for float32.
+        precision = getattr(torch, self.config.step_angles)
+        exponents = torch.linspace(0, 4, FREQUENCIES, dtype=torch.float64, device=step.device)
+        angle = step.to(precision)[:, None] * 10 ** exponents.to(precision)
         waves = torch.cat([angle.sin(), angle.cos()], 1).to(self.enter.weight.dtype)
         projected = self.project_step(self.embed_step(waves))
         return projected.unflatten(1, (self.config.blocks, -1)).movedim(1, 0)

@@ -22,6 +22,7 @@ from gesturekit.diffusion.conditions import (
     wants_beats,
 )
 from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.inbetween import InbetweenConstraint
 from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, last_step_with_signal
 from gesturekit.errors import ModelError
@@ -31,6 +32,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.postprocess import Placement
 from gesturekit.state.files import given_state
+from gesturekit.training.clips import InbetweenClips
 from gesturekit.training.own_rig import on_rig, pose_on_rig
 
 if TYPE_CHECKING:
@@ -55,6 +57,7 @@ class Request:
         fps: frames per second.
         start: normalised motion (T, X) and the step up to which it is noised, from which sampling
             starts; None for pure noise.
+        between: the clips of in-betweening; None for none.
         place: x and z in metres and heading in radians of the first frame, without a path.
         state: channels (C, T) of the state of movement that is given, or that of the motion to
             start from; None to draw it.
@@ -92,6 +95,11 @@ class Request:
         followed, length = _followed(model, path), self.seconds
         if speech is None and length is None and followed is not None:
             length = followed.frames_within(fps) / fps
+        clips = None
+        if controls["keep"] is not None:
+            clips = InbetweenClips(controls["keep"], model.representation, fps)
+            if speech is None and length is None:
+                length = self.seconds = clips.end / fps
         conditioners = _conditioners(members, controls)
         sound, wave = speech, None
         if speech is not None and (conditioners or wants_beats(events)):
@@ -107,6 +115,10 @@ class Request:
             values = other.silence(n_frames) if wave is None else other(wave, n_frames, vad)
             self.features[other] = values
         self.wave = wave
+        self.between = None
+        if clips is not None:
+            clips.check_end(n_frames)
+            self.between = InbetweenConstraint(model, clips, n_frames)
         self.start = None if begin is None else begin.noised(n_frames, controls["change"])
         self.place = (0.0, 0.0, 0.0)
         if begin is not None:

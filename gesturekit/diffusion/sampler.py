@@ -31,6 +31,7 @@ from gesturekit.errors import ModelError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.progress import Progress
+from gesturekit.training.clips import mixed_motions
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ def check_controls(
         for name, value, unset in (("facing", facing, None), ("in_place", in_place, False)):
             if value != unset:
                 raise ModelError(f"{name}={value}: the model follows a path, which places the body")
+    if controls["keep"] is not None and model.conditions.path:
+        raise ModelError("keep: this model follows a path, which moves the body")
     members = product_members(model, controls)
     if controls["events"] is not None:
         check_events(controls["events"], [member.model.conditions for member in members])
@@ -85,6 +88,8 @@ def sampled_motions(request: Request, samples: int) -> list[Motion]:
             experts = product(experts_of(request, numbers))
             predict = tiled(experts, request.n_frames, model.window)
             predict = clip_denoised(predict, model.schedule) if clip else predict
+            if request.between is not None:
+                predict = request.between.held(predict, model.schedule)
             vectors = sample(
                 _counted(predict, progress),
                 partial(_noise, request, numbers),
@@ -93,28 +98,40 @@ def sampled_motions(request: Request, samples: int) -> list[Motion]:
                 steps=steps,
                 start=request.start,
             )
-            for vector in vectors.cpu():
-                motion = _decoded(request, vector)
+            for number, vector in enumerate(vectors.cpu()):
+                motion = _decoded(request, vector, number)
                 motion = smooth_motion(motion, smooth) if smooth else motion
-                if controls["foot_lock"]:
-                    motion = lock_feet(motion, keep_path=request.path is not None)
-                motions.append(motion)
+                motions.append(_finished(request, motion))
     return motions
 
 
-def _decoded(request: Request, vector: Tensor) -> Motion:
-    """Return the motion of a normalised motion vector (T, X)."""
+def _finished(request: Request, motion: Motion) -> Motion:
+    """Return the motion with locked feet, unless that is off, and with its given clips."""
+    clips = None if request.between is None else request.between.clips
+    if request.controls["foot_lock"]:
+        keeps_path = request.path is not None or clips is not None
+        locked = lock_feet(motion, keep_path=keeps_path)
+        given = None if clips is None else clips.given(motion.n_frames)
+        motion = locked if given is None else mixed_motions(locked, motion, given)
+    return motion if clips is None else clips.restored(motion)
+
+
+def _decoded(request: Request, vector: Tensor, number: int) -> Motion:
+    """Return the motion of a normalised motion vector (T, X), with this number in its batch."""
     model, speaker = request.model, request.controls["speaker"]
-    values = model.normaliser.inverse(vector).double().numpy()
+    values, place = model.normaliser.inverse(vector).double().numpy(), request.place
     if not np.isfinite(values).all():
         raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
+    if request.between is not None:
+        values, path = request.between.blended(values, number)
+        place = (*path.positions[0], path.headings[0])
     try:
         return model.representation.decode(
             values,
             model.fps,
             skeleton=None if speaker is None else model.speakers[speaker],
             path=request.path,
-            start=request.place,
+            start=place,
         )
     except MotionError as error:
         raise ModelError(

@@ -167,7 +167,12 @@ class RootPath:
 
     @classmethod
     def from_deltas(
-        cls, deltas: np.ndarray, fps: float, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        cls,
+        deltas: np.ndarray,
+        fps: float,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *,
+        turn_first: bool = False,
     ) -> RootPath:
         """Integrate `deltas` to a path.
 
@@ -175,12 +180,13 @@ class RootPath:
             deltas: (T, 3) turn, forward, lateral per frame; frame 0 is ignored.
             fps: frames per second.
             start: x and z in metres and heading in radians of frame 0.
+            turn_first: see `deltas`.
         """
         turn, forward, lateral = np.array(deltas, dtype=np.float64)[1:].T
         x, z, heading = start
         angles = heading + np.concatenate([[0.0], np.cumsum(turn)])
-        between = angles[1:] - turn / 2
-        sine, cosine = np.sin(between), np.cos(between)
+        along = angles[1:] if turn_first else angles[1:] - turn / 2
+        sine, cosine = np.sin(along), np.cos(along)
         step = np.stack(
             [forward * sine + lateral * cosine, forward * cosine - lateral * sine], axis=1
         )
@@ -213,19 +219,19 @@ class RootPath:
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1) * self.fps
         return np.append(steps, steps[-1])
 
-    def deltas(self) -> np.ndarray:
+    def deltas(self, *, turn_first: bool = False) -> np.ndarray:
         """(T, 3) turn (radians), forward and lateral (metres, left is positive), each per frame.
 
         Entry k is the step from frame k - 1 to frame k, relative to the heading halfway between
-        them, so that a step along a circle has no lateral component. Entry 0 repeats entry 1; a
-        single frame has zeros.
+        them, so that a step along a circle has no lateral component, or with `turn_first` to that
+        of frame k. Entry 0 repeats entry 1; a single frame has zeros.
         """
         if self.n_frames < 2:
             return np.zeros((self.n_frames, 3))
         turn = np.diff(self.headings)
-        between = self.headings[1:] - turn / 2
+        along = self.headings[1:] if turn_first else self.headings[1:] - turn / 2
         dx, dz = np.diff(self.positions, axis=0).T
-        sine, cosine = np.sin(between), np.cos(between)
+        sine, cosine = np.sin(along), np.cos(along)
         steps = np.stack([turn, dx * sine + dz * cosine, dx * cosine - dz * sine], axis=1)
         return np.concatenate([steps[:1], steps])
 

@@ -55,6 +55,9 @@ class NetworkConfig(Settings):
     """Apply a leaky ReLU to y_i; the paper's fully connected layer (section 3.3) has none."""
     modulate: Literal["upper", "all"] | tuple[str, ...] = "upper"
     """Joints whose channels FiLM modulates: the upper body, all, or a list of joint names."""
+    residual: bool = True
+    """Add the coarser level's motion to the output of each generator (eq. 7); false is an
+    ablation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,6 +99,8 @@ class LossConfig(Settings):
     smoothness: float = 5.0
     """Second difference of the joint positions on random steps, at levels with at least half the
     full frame rate (eq. 16)."""
+    smooth_levels: Literal["fine", "all"] = "fine"
+    """Levels of the smoothness loss: those with at least half the full frame rate, or all."""
     arm_speed: float = 3.0
     """L1 distance between the log arm speed of generated motion and its prediction from speech by
     ridge regression, on random steps. Not in the paper; 0 gives the paper's losses."""
@@ -144,6 +149,8 @@ class TrainingConfig(Settings):
     """Iterations of the first stage, which trains the two coarsest levels."""
     further_stages: Positive[int] = 25000
     """Iterations of each further stage."""
+    stage_levels: Annotated[int, Limits(64, is_above=True)] = 2
+    """Levels that a stage trains together; the first stage then trains this many too."""
     discriminator_steps: int = 5
     """Discriminator steps per iteration."""
     generator_steps: int = 1

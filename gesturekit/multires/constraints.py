@@ -6,22 +6,17 @@ pyramid. Finer levels see the constrained part and fit the rest to it.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import TypeVar
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
-from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.root_path import RootPath, heading, headings, side_axis
-from gesturekit.motion.rotations import quaternion_from_sixd, slerp
-from gesturekit.multires.keyframes import ground_positions, moved
+from gesturekit.motion.root_path import RootPath, headings, side_axis
+from gesturekit.motion.rotations import quaternion_from_sixd
+from gesturekit.multires.keyframes import moved
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import (
     MultiresRepresentation,
@@ -30,7 +25,7 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
-from gesturekit.training.own_rig import on_rig
+from gesturekit.training.clips import BLEND, InbetweenClips, continued, ground_positions
 
 _SWAY = 0.03
 """Largest sway of the hips to either side of a path, metres of the reference body."""
@@ -108,144 +103,15 @@ class PathConstraint:
         return turn, wanted[:, :2] + sway_steps / stride
 
 
-Share = TypeVar("Share", float, np.ndarray)
-_BLEND = 0.4
-"""Seconds over which generated motion is blended to the end of a clip."""
-
-
-class InbetweenClips:
-    """Given clips at fixed times of a motion, with their positions and headings in the world.
-
-    Args:
-        clips: motions by the second at which each begins; of the model's rig, or of another one,
-            which is retargeted.
-        representation: of the vectors.
-        fps: frames per second.
-
-    Raises:
-        ModelError: no clips, clips that overlap, or one that cannot be retargeted.
-    """
-
-    def __init__(
-        self,
-        clips: Mapping[float, Motion | str | Path],
-        representation: MultiresRepresentation,
-        fps: float,
-    ) -> None:
-        if not clips:
-            raise ModelError("keep: no motion is given")
-        self.representation, self.fps = representation, fps
-        self.clips: list[tuple[int, Motion]] = []
-        for second, clip in sorted(clips.items()):
-            if not (math.isfinite(second) and second >= 0):
-                raise ModelError(f"keep: a clip begins at {second:g} s; expected 0 or later")
-            motion = clip if isinstance(clip, Motion) else Motion.load(clip)
-            begin = math.floor(second * fps + 0.5)
-            if begin < self.end:
-                raise ModelError(
-                    f"keep: the clip at {second:g} s begins before the one before it ends "
-                    f"({self.end / fps:g} s)"
-                )
-            self.clips.append((begin, on_rig(representation, motion).resample(fps)))
-        # All clips are turned together, so that their mean heading is +Z as in training.
-        each = [heading(clip) for _, clip in self.clips]
-        weight = [clip.n_frames for _, clip in self.clips]
-        self.heading = float(np.arctan2(np.sin(each) @ weight, np.cos(each) @ weight))
-
-    @property
-    def end(self) -> int:
-        """The frame after the last clip."""
-        return self.clips[-1][0] + self.clips[-1][1].n_frames if self.clips else 0
-
-    def check_end(self, n_frames: int) -> None:
-        """Raise ModelError if a clip ends after this many frames."""
-        if self.end > n_frames:
-            raise ModelError(
-                f"keep: the last clip ends at {self.end / self.fps:g} s, after the motion's end "
-                f"({n_frames / self.fps:g} s)"
-            )
-
-    def fastest_gap(self) -> float:
-        """Return the highest mean speed (m/s) over the ground that a gap between clips needs."""
-        speeds = [0.0]
-        for (begin, clip), (after, other) in zip(self.clips, self.clips[1:], strict=False):
-            way = (
-                ground_positions(self.representation, other)[0]
-                - ground_positions(self.representation, clip)[-1]
-            )
-            frames = after - begin - clip.n_frames + 1
-            speeds.append(float(np.linalg.norm(way)) * self.fps / frames)
-        return max(speeds)
-
-    def given(self, n_frames: int) -> np.ndarray:
-        """Return (T,) weights: 1 in the clips, falling to 0 beside them over `_BLEND`."""
-        weight = np.zeros(n_frames)
-        fall = _ease(1 - _fractions(max(1, round(_BLEND * self.fps))))
-        for begin, clip in self.clips:
-            stop = begin + clip.n_frames
-            weight[begin:stop] = 1
-            after = weight[stop : stop + len(fall)]
-            before = weight[max(0, begin - len(fall)) : begin]
-            np.maximum(after, fall[: len(after)], out=after)
-            np.maximum(before, fall[::-1][len(fall) - len(before) :], out=before)
-        return weight
-
-    def placed(self, values: np.ndarray) -> Motion:
-        """Return the output of the last level, (T, D), as a motion in the world of the clips."""
-        values = turned(values, self.heading, self.representation.layout)
-        motion = self.representation.decode(values, self.fps)
-        begin, clip = self.clips[0]
-        missing = (
-            ground_positions(self.representation, clip)[0]
-            - ground_positions(self.representation, motion)[begin]
-        )
-        return moved(self.representation, motion, missing)
-
-    def restored(self, motion: Motion) -> Motion:
-        """Return the motion with all joints of the clips, and their faces, as they were given.
-
-        Joints that are not modelled are blended to those of the motion over `_BLEND`.
-        """
-        rotations, translation = motion.rotations.copy(), motion.translation.copy()
-        moving = {name: values.copy() for name, values in motion.joint_translations.items()}
-        face = None if motion.expressions is None else motion.expressions.copy()
-        skeleton = motion.skeleton
-        modelled = {*self.representation.indices, *skeleton.ancestors(self.representation.root)}
-        others = [j for j in range(skeleton.n_joints) if j not in modelled]
-        for begin, clip in self.clips:
-            stop = begin + clip.n_frames
-            rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
-            shown, faces = clip.expressions, None
-            if face is not None and shown is not None and face.shape[1] == shown.shape[1]:
-                faces = face
-                faces[begin:stop] = shown
-            for name, values in moving.items():
-                still = clip.skeleton.offsets[skeleton.index(name)]
-                values[begin:stop] = clip.joint_translations.get(name, still)
-            for edge, step in ((begin, -1), (stop - 1, 1)):
-                for k, fraction in enumerate(_fractions(round(_BLEND * self.fps)), 1):
-                    frame = edge + step * k
-                    if not self._is_free(frame, motion.n_frames):
-                        break
-                    if faces is not None:
-                        faces[frame] += _ease(1 - fraction) * (faces[edge] - faces[frame])
-                    rotations[frame, others] = slerp(
-                        rotations[frame, others],
-                        rotations[edge, others],
-                        np.full(len(others), _ease(1 - fraction)),
-                    )
-        return replace(
-            motion,
-            rotations=rotations,
-            translation=translation,
-            joint_translations=moving,
-            expressions=face,
-        )
-
-    def _is_free(self, frame: int, n_frames: int) -> bool:
-        """Return whether a frame exists and lies in no clip."""
-        inside = any(begin <= frame < begin + clip.n_frames for begin, clip in self.clips)
-        return 0 <= frame < n_frames and not inside
+def placed_clips(
+    clips: InbetweenClips, values: np.ndarray, representation: MultiresRepresentation
+) -> Motion:
+    """Return the output of the last level, (T, D), as a motion in the world of the clips."""
+    values = turned(values, clips.heading, representation.layout)
+    motion = representation.decode(values, clips.fps)
+    begin, clip = clips.clips[0]
+    at = ground_positions(representation, motion)[begin]
+    return moved(representation, motion, ground_positions(representation, clip)[0] - at)
 
 
 class InbetweenConstraint:
@@ -253,15 +119,20 @@ class InbetweenConstraint:
 
     Args:
         clips: the given clips.
+        representation: of the vectors.
         normaliser: of the vectors.
         lengths: frames of each level, margins included.
         margin: frames before the motion and after it.
     """
 
     def __init__(
-        self, clips: InbetweenClips, normaliser: Normaliser, lengths: Sequence[int], margin: int
+        self,
+        clips: InbetweenClips,
+        representation: MultiresRepresentation,
+        normaliser: Normaliser,
+        lengths: Sequence[int],
+        margin: int,
     ) -> None:
-        representation = clips.representation
         self.layout = representation.layout
         self.fps, self.lengths, self.normaliser = clips.fps, lengths, normaliser
         n_frames = lengths[-1]
@@ -327,35 +198,23 @@ class InbetweenConstraint:
         count, n_frames = end - begin, len(result)
         stride = self.lengths[-1] / n_frames
         between = begin > 0 and end < n_frames
-        reach = max(1, round(_BLEND * self.fps / stride))
+        reach = max(1, round(BLEND * self.fps / stride))
         reach = min(reach, count + 1) if between else reach
         if begin:
             before = np.arange(*spans[number - 1])
-            result[begin:end] += self._correction(given[before], output[before], count, reach)
+            result[begin:end] += continued(
+                given[before], output[before], count, reach, self.continuous
+            )
         if end < n_frames:
             after = np.arange(*spans[number])[::-1]
-            result[begin:end] += self._correction(given[after], output[after], count, reach)[::-1]
+            result[begin:end] += continued(
+                given[after], output[after], count, reach, self.continuous
+            )[::-1]
         if between:
             share = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2  # most in the middle
             xz = self.layout.root_xz
             missing = self.displacements[number - 1] / stride - result[begin:end, xz].sum(axis=0)
             result[begin:end, xz] += share[:, None] / share.sum() * missing
-
-    def _correction(
-        self, given: np.ndarray, output: np.ndarray, count: int, reach: int
-    ) -> np.ndarray:
-        """Return (count, D) to add to the frames after a clip so that they continue from its end.
-
-        `given` (T_k, D) is the clip and `output` (T_k, D) what the level generated in its place;
-        the correction is 0 after `reach` frames.
-        """
-        after = np.arange(1, count + 1)[:, None]
-        share = _ease(np.clip(1 - after / reach, 0, 1))
-        added = share * (given[-1] - output[-1])
-        if len(given) > 1:
-            change = (given[-1] - given[-2]) - (output[-1] - output[-2])
-            added += after * share**2 * np.where(self.continuous, change, 0)
-        return added
 
     def _spans(self, n_frames: int) -> list[tuple[int, int]]:
         """Return the first frame of each clip at a level, and the frame after its last one.
@@ -373,13 +232,3 @@ class InbetweenConstraint:
             first = max(first, spans[-1][1]) if spans else first
             spans.append((int(first), max(int(first), int(last))))
         return spans
-
-
-def _fractions(count: int) -> np.ndarray:
-    """Return 1/count ... (count - 1)/count."""
-    return np.arange(1, count) / count
-
-
-def _ease(share: Share) -> Share:
-    """Return the smoothstep 3 s^2 - 2 s^3."""
-    return share * share * (3 - 2 * share)

@@ -35,7 +35,7 @@ class MultiresControls(Controls, total=False):
     combined with it."""
     keyframes: Annotated[
         str | Path | Motion | None,
-        Control(kind=Path, metavar="EDIT.bvh", excludes=(*PLACING, "path", "like")),
+        Control(kind=Path, metavar="EDIT.bvh", excludes=(*PLACING, "path", "like", "keep")),
     ]
     """A motion that replaces the output of a coarse level; the finer levels add detail and keep its
     slow movement. If it is an edited copy of a motion generated with levels, the same seed and the
@@ -43,14 +43,3 @@ class MultiresControls(Controls, total=False):
     The result has the model's own frame rate, unless fps is given."""
     keyframe_level: Annotated[int, Control(1, kind=int, least=1, metavar="N")]
     """The level that keyframes or like replaces, counted from 1 (coarsest)."""
-    keep: Annotated[
-        Mapping[float, str | Path | Motion] | None,
-        Control(
-            kind=Path,
-            metavar="FILE[@SECONDS],...",
-            excludes=(*PLACING, "path", "keyframes", "like", "speaker"),
-            note="clip.bvh is continued up to --seconds; a.bvh@0,b.bvh@6 is filled in between.",
-        ),
-    ]
-    """Motions to keep, each with its start time in seconds. They appear unchanged and at their own
-    position; the model generates the motion before, between and after them (in-betweening)."""

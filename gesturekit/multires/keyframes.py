@@ -23,6 +23,7 @@ from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.training.clips import ground_positions
 from gesturekit.training.own_rig import on_rig
 
 _EASE_SECONDS = 0.1
@@ -286,11 +287,6 @@ def _interpolated(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.
     if len(at) == 1:
         return np.full(len(frames), values[0])
     return PchipInterpolator(at, values)(frames.clip(at[0], at[-1]))
-
-
-def ground_positions(representation: MultiresRepresentation, motion: Motion) -> np.ndarray:
-    """Return x and z of the model's root, (T, 2) in m."""
-    return motion.positions()[:, representation.root][:, [0, 2]]
 
 
 def moved(representation: MultiresRepresentation, motion: Motion, offset: np.ndarray) -> Motion:

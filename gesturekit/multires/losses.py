@@ -57,7 +57,8 @@ def random_losses(
     # One frame, the coarsest level of a very short recording, has no speed.
     moves = n_frames > 1
     # Rounding makes strides of two levels straddle 2; half the full rate is meant.
-    is_smooth = weights.smoothness and stride < 2.05 and n_frames > 2
+    is_fine = weights.smooth_levels == "all" or stride < 2.05
+    is_smooth = weights.smoothness and is_fine and n_frames > 2
     terms: dict[str, Tensor] = {}
     if weights.adversarial:
         terms["adversarial"] = adversarial(level.score())

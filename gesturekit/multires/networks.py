@@ -92,7 +92,7 @@ class LevelGenerator(nn.Module):
     ) -> None:
         super().__init__()
         self.layers = skeleton_layers(representation, config, output=True)
-        self.rectify_embedding = config.rectify_embedding
+        self.rectify_embedding, self.residual = config.rectify_embedding, config.residual
         self.embed, self.films = None, module_list(list[Film]())
         if n_condition:
             self.embed = nn.Conv1d(n_condition, config.embedding, 1)
@@ -127,7 +127,7 @@ class LevelGenerator(nn.Module):
         for i, chain in enumerate(chains):
             x = x if y is None else self.films[i](x, y)
             x = convolve(chain, x, SLOPE, 1.0 if i == len(chains) - 1 else SLOPE)
-        return x + up
+        return x + up if self.residual else x
 
 
 class MultiresGenerator(nn.Module):

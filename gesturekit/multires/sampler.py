@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,9 +11,8 @@ import torch
 from torch import Tensor
 
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.rotations import slerp
 from gesturekit.multires.conditions import requested_styles
-from gesturekit.multires.constraints import InbetweenConstraint, PathConstraint
+from gesturekit.multires.constraints import InbetweenConstraint, PathConstraint, placed_clips
 from gesturekit.multires.keyframes import (
     KeyframeConstraint,
     keep_unedited,
@@ -29,6 +27,7 @@ from gesturekit.multires.request import Request
 from gesturekit.multires.retrieval import PieceSequence, played_passive, played_pieces
 from gesturekit.postprocess import lock_feet, smooth_motion
 from gesturekit.state.files import mood_seed
+from gesturekit.training.clips import mixed_motions
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:
@@ -64,7 +63,9 @@ class Sampler:
             self.path = PathConstraint(path, representation, model.normaliser, lengths, margin)
         if request.clips is not None:
             self._warn_of_speed("between the clips the body", request.clips.fastest_gap())
-            self.between = InbetweenConstraint(request.clips, model.normaliser, lengths, margin)
+            self.between = InbetweenConstraint(
+                request.clips, representation, model.normaliser, lengths, margin
+            )
 
     def motion(self, seed: int, item: str, number: int) -> Motion:
         """Generate the sample of an item with this number."""
@@ -108,7 +109,7 @@ class Sampler:
         if request.clips is not None:
             values = self._cropped(pyramid.random(constraint=self.between))
             given = request.clips.given(request.n_frames)
-            motion = self._smoothed(request.clips.placed(values))
+            motion = self._smoothed(placed_clips(request.clips, values, model.representation))
             return self._locked(motion, values, given, keep_path=True)
         if self.path is not None and request.path is not None:
             values = self._cropped(self.path.placed(pyramid.random(constraint=self.path)))
@@ -251,27 +252,4 @@ class Sampler:
             return motion
         labels = values[:, self.model.representation.layout.contacts]
         locked = lock_feet(motion, labels, keep_path=keep_path)
-        return locked if given is None or not given.any() else _mixed(locked, motion, given)
-
-
-def _mixed(locked: Motion, motion: Motion, given: np.ndarray) -> Motion:
-    """Return `locked` mixed with `motion` by the weights `given` (T,) of the latter."""
-    given = given[:, None]
-
-    def mixed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        between = before + (1 - given) * (after - before)
-        return np.where(given == 0, after, np.where(given == 1, before, between))
-
-    turns = slerp(
-        motion.rotations, locked.rotations, np.broadcast_to(1 - given, motion.rotations.shape[:2])
-    )
-    turns = np.where(given[..., None] == 1, motion.rotations, turns)
-    return replace(
-        locked,
-        rotations=np.where(given[..., None] == 0, locked.rotations, turns),
-        translation=mixed(motion.translation, locked.translation),
-        joint_translations={
-            name: mixed(motion.joint_translations[name], places)
-            for name, places in locked.joint_translations.items()
-        },
-    )
+        return locked if given is None or not given.any() else mixed_motions(locked, motion, given)

@@ -241,6 +241,7 @@ class WindowLevels:
         self._backend = choose_backend("auto", *model.network.levels)
         self._columns, self._n_carriers = model.conditions.columns, model.conditions.n_carriers
         self._sigma = model.noise.sigma.mean(dim=0)[0]
+        self._is_residual = model.network_config.residual
         self._levels = list[_Level]()
         for i in reversed(range(len(lengths))):
             level = _Level(model, i, lengths, styles, part)
@@ -268,7 +269,8 @@ class WindowLevels:
                     motion = self._added(level, x, given)
                 else:
                     up = motion @ level.up
-                    motion = self._added(level, up, given) + up
+                    motion = self._added(level, up, given)
+                    motion = motion + up if self._is_residual else motion
                 motion = motion[:, level.kept]
         assert motion is not None
         return motion

@@ -17,7 +17,6 @@ from gesturekit.motion.root_path import RootPath, heading
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 from gesturekit.multires import MultiresRepresentation, Normaliser, resample
 from gesturekit.multires.constraints import (
-    InbetweenClips,
     InbetweenConstraint,
     PathConstraint,
 )
@@ -29,6 +28,7 @@ from gesturekit.multires.keyframes import (
     root_through_keyframes,
 )
 from gesturekit.multires.motion_vector import fastest_second, turned, turned_plane
+from gesturekit.training.clips import InbetweenClips
 
 FPS = 25.0
 HAND = "LeftHand"
@@ -328,7 +328,7 @@ def constrained(representation, normaliser, clips, n_frames: int, margin: int = 
     """The values (T_i, D) of a level whose network gave the same pose in every frame."""
     found = InbetweenClips(clips, representation, FPS)
     lengths = level_lengths(n_frames + 2 * margin, 3)
-    constraint = InbetweenConstraint(found, normaliser, lengths, margin)
+    constraint = InbetweenConstraint(found, representation, normaliser, lengths, margin)
     values = representation.encode(posed(representation, lengths[level]))
     return values, normaliser.to_values(constraint(level, normaliser.from_values(values)))
 

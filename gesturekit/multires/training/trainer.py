@@ -121,7 +121,10 @@ class Trainer(BaseTrainer):
         training, levels = self.config.training, self.config.network.levels
         first = self.config.lengthened(training.first_stage)
         further = self.config.lengthened(training.further_stages)
-        return [(level, further if level else first) for level in range(0, levels, 2)]
+        return [
+            (level, further if level else first)
+            for level in range(0, levels, training.stage_levels)
+        ]
 
     def stage(self, first: int, iterations: int) -> Stage:
         """Return the stage that begins with this level, its discriminators untrained."""
@@ -260,14 +263,14 @@ class Trainer(BaseTrainer):
 
 
 class Stage:
-    """Training of two adjacent levels; the coarser ones are finished, the finer ones untrained.
+    """Training of adjacent levels; the coarser ones are finished, the finer ones untrained.
 
     Args:
         config: of the run.
         data: recordings and speech.
         network: the whole pyramid.
         processes: that share each batch.
-        first: index of the coarser level.
+        first: index of the coarsest of them.
         iterations: of this stage.
         state: the state of movement; None for a model without it.
     """
@@ -285,7 +288,8 @@ class Stage:
         self.config, self.network, self.processes = config, network, processes
         self.first, self.iterations = first, iterations
         self.device = next(network.parameters()).device
-        self.indices = range(first, min(first + 2, config.network.levels))
+        last = first + config.training.stage_levels
+        self.indices = range(first, min(last, config.network.levels))
         conditioned = config.styles is not None and config.styles.condition_discriminator
         self.n_styles = len(data.conditions.styles) if conditioned else 0
         self.generators = nn.ModuleList(network.levels[i] for i in self.indices)

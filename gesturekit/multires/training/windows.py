@@ -262,7 +262,7 @@ class Batches:
         motions = [sequence.motion[:, start : start + n_frames] for sequence, start in windows]
         return [
             torch.stack([resample(motion, n) for motion in motions]).to(self.device)
-            for n in lengths[self.first : self.first + 2]
+            for n in lengths[self.first : self.first + self.config.training.stage_levels]
         ]
 
     @torch.no_grad()
@@ -286,7 +286,7 @@ class Batches:
         if state is not None:
             noises = self.noise.clocked(state, given.n_carriers, lengths)
         noises = [None if noise is None else noise.to(to) for noise in noises]
-        stage = slice(first, first + 2)
+        stage = slice(first, first + config.training.stage_levels)
         asks_arms = motion is None and config.uses_arm_speed
         targets = () if motion is None else [resample(motion.to(to), n) for n in lengths[stage]]
         return Windows(

@@ -1,0 +1,203 @@
+"""Clips that a generated motion must contain (in-betweening), and blending of motion to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from gesturekit.errors import ModelError
+from gesturekit.motion.model_joints import ModelJoints
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.root_path import heading
+from gesturekit.motion.rotations import slerp
+from gesturekit.motion.skeleton import GROUND
+from gesturekit.training.own_rig import on_rig
+
+Share = TypeVar("Share", float, np.ndarray)
+BLEND = 0.4
+"""Seconds over which generated motion is blended to the end of a clip."""
+
+
+class InbetweenClips:
+    """Given clips at fixed times of a motion, with their positions and headings in the world.
+
+    Args:
+        clips: motions by the second at which each begins; of the model's rig, or of another one,
+            which is retargeted.
+        rig: of the model.
+        fps: frames per second.
+
+    Raises:
+        ModelError: no clips, clips that overlap, or one that cannot be retargeted.
+    """
+
+    def __init__(
+        self,
+        clips: Mapping[float, Motion | str | Path],
+        rig: ModelJoints,
+        fps: float,
+    ) -> None:
+        if not clips:
+            raise ModelError("keep: no motion is given")
+        self.rig, self.fps = rig, fps
+        self.clips: list[tuple[int, Motion]] = []
+        for second, clip in sorted(clips.items()):
+            if not (math.isfinite(second) and second >= 0):
+                raise ModelError(f"keep: a clip begins at {second:g} s; expected 0 or later")
+            motion = clip if isinstance(clip, Motion) else Motion.load(clip)
+            begin = math.floor(second * fps + 0.5)
+            if begin < self.end:
+                raise ModelError(
+                    f"keep: the clip at {second:g} s begins before the one before it ends "
+                    f"({self.end / fps:g} s)"
+                )
+            self.clips.append((begin, on_rig(rig, motion).resample(fps)))
+        # All clips are turned together, so that their mean heading is +Z as in training.
+        each = [heading(clip) for _, clip in self.clips]
+        weight = [clip.n_frames for _, clip in self.clips]
+        self.heading = float(np.arctan2(np.sin(each) @ weight, np.cos(each) @ weight))
+
+    @property
+    def end(self) -> int:
+        """The frame after the last clip."""
+        return self.clips[-1][0] + self.clips[-1][1].n_frames if self.clips else 0
+
+    def check_end(self, n_frames: int) -> None:
+        """Raise ModelError if a clip ends after this many frames."""
+        if self.end > n_frames:
+            raise ModelError(
+                f"keep: the last clip ends at {self.end / self.fps:g} s, after the motion's end "
+                f"({n_frames / self.fps:g} s)"
+            )
+
+    def fastest_gap(self) -> float:
+        """Return the highest mean speed (m/s) over the ground that a gap between clips needs."""
+        speeds = [0.0]
+        for (begin, clip), (after, other) in zip(self.clips, self.clips[1:], strict=False):
+            way = ground_positions(self.rig, other)[0] - ground_positions(self.rig, clip)[-1]
+            frames = after - begin - clip.n_frames + 1
+            speeds.append(float(np.linalg.norm(way)) * self.fps / frames)
+        return max(speeds)
+
+    def given(self, n_frames: int) -> np.ndarray:
+        """Return (T,) weights: 1 in the clips, falling to 0 beside them over `BLEND`."""
+        weight = np.zeros(n_frames)
+        fall = ease(1 - _fractions(max(1, round(BLEND * self.fps))))
+        for begin, clip in self.clips:
+            stop = begin + clip.n_frames
+            weight[begin:stop] = 1
+            after = weight[stop : stop + len(fall)]
+            before = weight[max(0, begin - len(fall)) : begin]
+            np.maximum(after, fall[: len(after)], out=after)
+            np.maximum(before, fall[::-1][len(fall) - len(before) :], out=before)
+        return weight
+
+    def restored(self, motion: Motion) -> Motion:
+        """Return the motion with all joints of the clips, and their faces, as they were given.
+
+        Joints that are not modelled are blended to those of the motion over `BLEND`.
+        """
+        rotations, translation = motion.rotations.copy(), motion.translation.copy()
+        moving = {name: values.copy() for name, values in motion.joint_translations.items()}
+        face = None if motion.expressions is None else motion.expressions.copy()
+        skeleton = motion.skeleton
+        modelled = {*self.rig.indices, *skeleton.ancestors(self.rig.root)}
+        others = [j for j in range(skeleton.n_joints) if j not in modelled]
+        for begin, clip in self.clips:
+            stop = begin + clip.n_frames
+            rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
+            shown, faces = clip.expressions, None
+            if face is not None and shown is not None and face.shape[1] == shown.shape[1]:
+                faces = face
+                faces[begin:stop] = shown
+            for name, values in moving.items():
+                still = clip.skeleton.offsets[skeleton.index(name)]
+                values[begin:stop] = clip.joint_translations.get(name, still)
+            for edge, step in ((begin, -1), (stop - 1, 1)):
+                for k, fraction in enumerate(_fractions(round(BLEND * self.fps)), 1):
+                    frame = edge + step * k
+                    if not self._is_free(frame, motion.n_frames):
+                        break
+                    if faces is not None:
+                        faces[frame] += ease(1 - fraction) * (faces[edge] - faces[frame])
+                    rotations[frame, others] = slerp(
+                        rotations[frame, others],
+                        rotations[edge, others],
+                        np.full(len(others), ease(1 - fraction)),
+                    )
+        return replace(
+            motion,
+            rotations=rotations,
+            translation=translation,
+            joint_translations=moving,
+            expressions=face,
+        )
+
+    def _is_free(self, frame: int, n_frames: int) -> bool:
+        """Return whether a frame exists and lies in no clip."""
+        inside = any(begin <= frame < begin + clip.n_frames for begin, clip in self.clips)
+        return 0 <= frame < n_frames and not inside
+
+
+def ground_positions(rig: ModelJoints, motion: Motion) -> np.ndarray:
+    """Return x and z of the model's root, (T, 2) in m."""
+    return motion.positions()[:, rig.root][:, GROUND]
+
+
+def continued(
+    given: np.ndarray, output: np.ndarray, count: int, reach: int, continuous: np.ndarray
+) -> np.ndarray:
+    """Return (count, D) to add to the frames after a clip so that they continue from its end.
+
+    Args:
+        given: (T_k, D) vectors of the clip.
+        output: (T_k, D) what the network generated in its place.
+        count: number of frames.
+        reach: frames after which the correction is 0.
+        continuous: (D,) bool, true for columns whose change from frame to frame continues too.
+    """
+    after = np.arange(1, count + 1)[:, None]
+    share = ease(np.clip(1 - after / reach, 0, 1))
+    added = share * (given[-1] - output[-1])
+    if len(given) > 1:
+        change = (given[-1] - given[-2]) - (output[-1] - output[-2])
+        added += after * share**2 * np.where(continuous, change, 0)
+    return added
+
+
+def _fractions(count: int) -> np.ndarray:
+    """Return 1/count ... (count - 1)/count."""
+    return np.arange(1, count) / count
+
+
+def ease(share: Share) -> Share:
+    """Return the smoothstep 3 s^2 - 2 s^3."""
+    return share * share * (3 - 2 * share)
+
+
+def mixed_motions(locked: Motion, motion: Motion, given: np.ndarray) -> Motion:
+    """Return `locked` mixed with `motion` by the weights `given` (T,) of the latter."""
+    given = given[:, None]
+
+    def mixed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        between = before + (1 - given) * (after - before)
+        return np.where(given == 0, after, np.where(given == 1, before, between))
+
+    turns = slerp(
+        motion.rotations, locked.rotations, np.broadcast_to(1 - given, motion.rotations.shape[:2])
+    )
+    turns = np.where(given[..., None] == 1, motion.rotations, turns)
+    return replace(
+        locked,
+        rotations=np.where(given[..., None] == 0, locked.rotations, turns),
+        translation=mixed(motion.translation, locked.translation),
+        joint_translations={
+            name: mixed(motion.joint_translations[name], places)
+            for name, places in locked.joint_translations.items()
+        },
+    )
