@@ -19,7 +19,6 @@ from types import ModuleType
 import numpy as np
 from filelock import FileLock
 
-from audio_features.errors import FeatureError
 from audio_features.wave import SPEECH_LEVEL_DBFS, Wave
 
 SAMPLE_RATE = 16_000
@@ -110,20 +109,6 @@ def track_pitch(
     return f0, np.clip(periodicity, 0.0, 1.0)
 
 
-def check_tracker(tracker: str) -> None:
-    """Raise FeatureError for an unknown tracker, or one whose package cannot be imported."""
-    if tracker not in TRACKERS:
-        raise FeatureError(f"f0={tracker!r}: one of {', '.join(TRACKERS)}")
-    try:
-        if tracker in _PACKAGES:
-            importlib.import_module(tracker)
-    except ImportError as error:
-        raise FeatureError(
-            f"f0={tracker!r} needs the package {tracker} ({error}): pip install "
-            f"{_PACKAGES[tracker]}, or use f0='yin', which needs no package"
-        ) from error
-
-
 def _yin(samples: np.ndarray, n_frames: int) -> np.ndarray:
     """Track f0 (T,) by YIN (de Cheveigne and Kawahara 2002), with the values of librosa.yin.
 
@@ -186,48 +171,11 @@ def _pyin(samples: np.ndarray, n_frames: int) -> np.ndarray:
     return f0
 
 
-def _praat(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Track f0 (T,) by Praat's autocorrelation method (Boersma 1993)."""
-    import parselmouth
-
-    sound = parselmouth.Sound(samples.astype(np.float64), SAMPLE_RATE)
-    if sound.duration < 3.0 / F0_RANGE[0]:  # the minimum that Praat accepts
-        return np.zeros(n_frames)
-    pitch = sound.to_pitch_ac(
-        time_step=HOP / SAMPLE_RATE, pitch_floor=F0_RANGE[0], pitch_ceiling=F0_RANGE[1]
-    )
-    found = pitch.selected_array["frequency"]
-    nearest = np.rint((np.arange(n_frames) * HOP / SAMPLE_RATE - pitch.x1) / pitch.dx).astype(int)
-    inside = (nearest >= 0) & (nearest < len(found))
-    return np.where(inside, found[np.clip(nearest, 0, len(found) - 1)], 0.0)
-
-
-def _world(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Track f0 (T,) by WORLD's DIO with StoneMask (Morise 2009, 2016)."""
-    import pyworld
-
-    signal = samples.astype(np.float64)
-    f0, times = pyworld.dio(
-        signal,
-        SAMPLE_RATE,
-        f0_floor=F0_RANGE[0],
-        f0_ceil=F0_RANGE[1],
-        frame_period=1000 * HOP / SAMPLE_RATE,
-    )
-    f0 = pyworld.stonemask(signal, f0, times, SAMPLE_RATE)[:n_frames]
-    return np.pad(f0, (0, n_frames - len(f0)))
-
-
 TRACKERS: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
     "yin": _yin,
     "pyin": _pyin,
-    "parselmouth": _praat,
-    "pyworld": _world,
 }
 """Functions by name: samples (N,) at 16 kHz and T -> f0 (T,) in Hz, 0 where unvoiced."""
-
-_PACKAGES = {"parselmouth": "praat-parselmouth", "pyworld": "pyworld 'setuptools<81'"}
-"""Trackers that import a package of the same name, and what installs it."""
 
 FLOOR_DB = -60.0
 """Added to every power before the logarithm, relative to the active speech level."""

@@ -15,9 +15,9 @@ from audio_features.acoustic.analysis import (
     MAX_MELS,
     N_FFT,
     SAMPLE_RATE,
+    TRACKERS,
     ShortTimeSpectrum,
     centred_frames,
-    check_tracker,
     import_librosa,
 )
 from audio_features.errors import FeatureError
@@ -152,11 +152,9 @@ class Prosody(AcousticExtractor):
     - `onset`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
 
     Args:
-        f0: pitch tracker. "yin" is the default and needs no extra package; "pyin" is more
-            stable but about thirty times slower; "parselmouth" (Praat) and "pyworld" need their
-            packages.
+        f0: pitch tracker: "yin", or "pyin", which is more stable but about thirty times slower.
 
-    Raises FeatureError if the tracker is unknown or its package is not installed.
+    Raises FeatureError if the tracker is unknown.
 
     Examples:
         A tone rises by an octave, 12 semitones, and keeps its energy:
@@ -175,7 +173,8 @@ class Prosody(AcousticExtractor):
     centred = (True,) * 4
 
     def __init__(self, f0: str = "yin") -> None:
-        check_tracker(f0)
+        if f0 not in TRACKERS:
+            raise FeatureError(f"f0={f0!r}: one of {', '.join(TRACKERS)}")
         self.f0 = f0
         self.spec = {"kind": "prosody", "f0": f0}
         self.worth_caching = f0 == "pyin"

@@ -321,9 +321,6 @@ class Layers:
         top: highest hidden state that is needed.
     """
 
-    reach = (0, 0)
-    """Frames beside a window that must be given with it."""
-
     def __init__(self, network: Any, top: int) -> None:
         self._whisper = hasattr(network, "conv1")
         self._encoder = network if self._whisper else network.encoder

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import ARGUMENTS, resumable, workers_option
+from gesturekit.cli.options import ARGUMENTS, resumable, together, workers_option
 from gesturekit.errors import ConfigError
 from gesturekit.wording import counted
 
@@ -42,62 +42,35 @@ def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[in
     return int(match[1]), int(match[2])
 
 
-_OPTIONS = (
+batch_options = together(
     workers_option,
     click.option(
-        "--shard",
-        metavar="K/N",
-        callback=_shard,
-        help="Process part K of N, such as 1/8. Parts may be processed in any order, or in "
-        "parallel on several machines, into one output folder.",
+        "--shard", metavar="K/N", callback=_shard, help="Process part K of N, such as 1/8."
     ),
     click.option(
         "--launcher",
         type=click.Choice(["local", "slurm", "ray"]),
         default="local",
-        show_default=True,
-        help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
-        "cluster.",
+        help="Where shards run: on this machine, as Slurm jobs (submitit), or on a Ray cluster.",
     ),
+    click.option("--jobs", type=click.IntRange(1, 10_000), help="Shards for slurm or ray."),
     click.option(
-        "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
-    ),
-    click.option(
-        "--launcher-option",
-        "launcher_options",
+        *("--launcher-option", "launcher_options"),
         multiple=True,
         metavar="KEY=VALUE",
-        help="For slurm, a parameter of submitit, such as slurm_partition=cpu, timeout_min=600, "
-        "cpus_per_task=4 or cluster=local. May be repeated.",
+        help="Parameter of submitit, such as slurm_partition=cpu. May be repeated.",
     ),
-    click.option(
-        "--address", help="Address of a Ray cluster; by default one is started on this machine."
-    ),
+    click.option("--address", help="Address of a Ray cluster; by default one is started here."),
     click.option(
         "--deadline",
         type=click.FloatRange(min=0, min_open=True),
         metavar="SECONDS",
         help="Abandon an input after this time.",
     ),
-    click.option(
-        "--retry-failed",
-        is_flag=True,
-        help="Retry inputs that are skipped because they failed three times.",
-    ),
-    click.option(
-        "--dry-run",
-        is_flag=True,
-        help="Write nothing: only print what would be done, and for sounds how long it would take "
-        "and the size of the results.",
-    ),
+    click.option("--retry-failed", is_flag=True, help="Retry inputs that failed three times."),
+    click.option("--dry-run", is_flag=True, help="Write nothing; print what would be done."),
 )
-
-
-def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `pop_execution`."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+"""Options of `pop_execution`."""
 
 
 def pop_execution(ctx: click.Context, out: Path, options: dict[str, Any]) -> tuple[Execution, bool]:

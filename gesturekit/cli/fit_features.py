@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import SEED, existing_option, is_left, output_folder_option
+from gesturekit.cli.options import PATH, existing_option, is_left, output_folder_option, seed_option
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.measuring.samples import MotionSample
@@ -16,28 +16,18 @@ if TYPE_CHECKING:
 @click.command(
     "fit-features", epilog="Example: gesturekit fit-features recordings/ --out features --seed 0"
 )
-@click.argument(
-    "reference", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REFERENCE..."
-)
+@click.argument("reference", nargs=-1, required=True, type=PATH, metavar="REFERENCE...")
 @output_folder_option
 @click.option(
     "--variant",
     type=click.Choice(["genea", "yoon"]),
     default="genea",
-    show_default=True,
-    help="genea: positions of body joints, 60 frames at 30 fps; yoon: directions of the upper "
-    "body's bones, 34 frames at 15 fps.",
+    help="genea: joint positions, 60 frames at 30 fps; yoon: upper-body bones, 34 at 15 fps.",
 )
 @click.option("--frames", type=int, help="Frames per window.  [default: the variant's]")
-@click.option(
-    "--joints",
-    metavar="LIST",
-    help="Joints to use: body, upper, or joint names.  [default: the variant's]",
-)
-@click.option(
-    "--steps", type=click.IntRange(1), default=2300, show_default=True, help="Training steps."
-)
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
+@click.option("--joints", metavar="LIST", help="body, upper, or names.  [default: the variant's]")
+@click.option("--steps", type=click.IntRange(1), default=2300, help="Training steps.")
+@seed_option
 @existing_option("refuse")
 def command(
     reference: tuple[Path, ...],

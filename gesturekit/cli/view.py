@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.options import (
+    FILE,
+    PATH,
     RATE,
     body_option,
     existing_option,
@@ -37,16 +39,13 @@ _TOLERANCE = 1.0
     "Example: gesturekit view recorded.bvh rendered.bvh --out compare.html\n\n"
     "Example: gesturekit view recorded.bvh rendered.bvh --audio take.wav -o compare.mp4",
 )
-@click.argument(
-    "clips", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="MOTION..."
-)
-@click.option("--audio", type=click.Path(path_type=Path), metavar="WAV", help="Sound to play.")
+@click.argument("clips", nargs=-1, required=True, type=PATH, metavar="MOTION...")
+@click.option("--audio", type=PATH, metavar="WAV", help="Sound to play.")
 @click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    *("-o", "--out"),
+    type=FILE,
     metavar="FILE",
-    help="Write a page (.html), video (.mp4) or picture (.png, .svg, .pdf) and do not open it.",
+    help="Write a page (.html), video (.mp4) or picture (.png, .svg, .pdf); do not open it.",
 )
 @body_option
 @framing_option

@@ -74,7 +74,7 @@ FORMATS = (
     Format(".html", None, "viewer:write_html", writes=_BODY | {"framing"}),
     Format(".mp4", None, "viewer:write_video", writes=_BODY | {"framing", "size", "fps"}),
     *(Format(suffix, None, _PICTURE, writes={"body"}) for suffix in (".png", ".svg", ".pdf")),
-    Format(".obj", None, "formats.smpl:write_obj", writes={"body_model", "frame"}),
+    Format(".obj", None, "formats.smpl:write_obj", writes={"body_model"}),
 )
 """All formats, in the order in which messages and help list them."""
 
