@@ -169,14 +169,12 @@ def size_limit() -> int:
     except (ValueError, OverflowError):
         limit = -1
     if limit < 0:
-        raise AudioFeaturesError(
-            f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
-        )
+        raise AudioFeaturesError(f"GESTUREKIT_CACHE_GB={size!r}: give gigabytes, 0 for no cache")
     return limit
 
 
 # Packages of which another version may change the last bits of a feature.
-_NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
+_NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch")
 
 
 class FeatureCache(DiskCache):
@@ -189,9 +187,8 @@ class FeatureCache(DiskCache):
     be cleared by hand. A value read from the cache is bit-identical to the extracted one. The
     device is not part of a spec, so a CPU may read features computed on a GPU.
 
-    Light features (log-mel, MFCC, prosody by YIN, onsets, music) are not cached: they
-    take less than a hundredth of the sound's duration, and 20 kB per second on disk. WavLM
-    and pitch by pyin are cached. The parts of a `Stack` are cached separately.
+    Acoustic features are not cached: they take less than a hundredth of the sound's duration, and
+    20 kB per second on disk. The parts of a `Stack` are cached separately.
 
     Several processes may share a folder. An entry gets its final name only when it is complete;
     an entry with a wrong checksum is extracted again. If the folder cannot be written to,

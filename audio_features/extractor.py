@@ -104,13 +104,12 @@ class Stack:
             wave: the sound.
             extract: function for the parts that share no spectrum, for example a cache's.
         """
-        spectra: dict[str | None, ShortTimeSpectrum] = {}
+        spectrum: ShortTimeSpectrum | None = None
         tracks = []
         for part in self.parts:
-            if isinstance(part, AcousticExtractor) and not part.worth_caching:
-                if part.device not in spectra:
-                    spectra[part.device] = part.spectrum_of(wave)
-                tracks.append(part.from_spectrum(spectra[part.device]))
+            if isinstance(part, AcousticExtractor):
+                spectrum = ShortTimeSpectrum(wave) if spectrum is None else spectrum
+                tracks.append(part.from_spectrum(spectrum))
             else:
                 tracks.append(extract(part, wave))
         times = max((track.times for track in tracks), key=len)
@@ -196,7 +195,7 @@ def extractor_from_spec(
             speech or words, if the spec contains one and does not name its path; or the folder of
             the files of `Files`. For several, {kind: path}, such as {"wavlm": "wavlm-base-plus/",
             "words": "bert-base/", "files": "own_features/"}.
-        device: "cpu" or "cuda", for WavLM, Hugging Face encoders, torchaudio and installed kinds.
+        device: "cpu" or "cuda", for WavLM, Hugging Face encoders and installed kinds.
 
     Kinds of installed packages are found by their entry points, see `kinds.GROUP`.
 
@@ -233,8 +232,6 @@ def extractor_from_spec(
         make = partial(make, _folder_of(kind, settings, weights), device=device)
     elif kind == "files" and (place := _place_of(kind, weights)) is not None:
         settings["folder"] = place
-    if settings.get("backend") == "torchaudio":
-        settings["device"] = device
     try:
         return make(**settings)
     except TypeError as error:
@@ -267,10 +264,7 @@ def _installed(kind: Any, settings: dict[str, Any], device: str) -> Installed:
     if kind in kinds:
         return Installed(kinds[kind], settings, device)
     if package := settings.get("package"):
-        raise FeatureError(
-            f"the extractor {kind!r} is not installed here: install its package, {package!r}, "
-            "if you trust it"
-        )
+        raise FeatureError(f"extractor {kind!r} is not here: install {package!r} if you trust it")
     known, spec = ", ".join([*KINDS, *kinds, "stack"]), {"kind": kind, **settings}
     raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
 
@@ -329,10 +323,8 @@ def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str]
         return weights
     for name in weights:
         if name not in _PLACES:
-            raise WeightsError(
-                f"weights {name}={os.fspath(weights[name])}: {name!r} has no weights or files; "
-                f"expected {', '.join(_PLACES)}"
-            )
+            known = f"{name!r} has no weights or files; expected {', '.join(_PLACES)}"
+            raise WeightsError(f"weights {name}={os.fspath(weights[name])}: {known}")
     return weights.get(kind)
 
 
@@ -347,8 +339,5 @@ def _by_kind(parts: list[Any], weights: WeightPlaces | None) -> WeightPlaces | N
     kinds = list(dict.fromkeys(encoders))
     if len(kinds) > 1:
         named = " ".join(f"--weights {kind}=PATH" for kind in kinds)
-        raise WeightsError(
-            f"{os.fspath(weights)}: the features need {len(kinds)} encoders, but this is one path: "
-            f"give the weights of each ({named})"
-        )
+        raise WeightsError(f"{os.fspath(weights)}: give the weights of each encoder ({named})")
     return {kinds[0]: weights} if kinds else weights

@@ -55,9 +55,7 @@ class FeatureTrack:
             values = np.ascontiguousarray(self.values, dtype=np.float32)
         times = np.ascontiguousarray(self.times, dtype=np.float64)
         if values.ndim != 2 or times.shape != values.shape[:1] or len(times) == 0:
-            raise FeatureError(
-                f"values {values.shape} and times {times.shape}: expected (T, D) and (T,), T > 0"
-            )
+            raise FeatureError(f"values {values.shape}, times {times.shape}: expected (T, D), (T,)")
         names = tuple(self.names) or tuple(str(i) for i in range(values.shape[1]))
         if len(names) != values.shape[1]:
             raise FeatureError(f"{len(names)} names for {values.shape[1]} columns")
@@ -155,10 +153,8 @@ class FeatureTrack:
                 spec = json.loads("".join(archive.texts("spec"))) if "spec" in archive else {}
         except (ValueError, RecursionError) as error:
             reason = str(error).removeprefix(f"{Path(name)}: ")
-            raise FeatureError(
-                f"{name}: not a feature file (npz with values, times, spec): {reason}: "
-                "make it again with `gesturekit features`"
-            ) from error
+            how = f"{reason}: make it again with `gesturekit features`"
+            raise FeatureError(f"{name}: not a feature file (npz): {how}") from error
         if not isinstance(spec, dict):
             raise FeatureError(f"{name}: spec is {type(spec).__name__}, expected a JSON object")
         number, names = spec.pop("format", FORMAT), spec.pop("names", ())

@@ -9,7 +9,7 @@ from __future__ import annotations
 import getpass
 import importlib
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
@@ -73,28 +73,20 @@ _LONGEST_PERIOD = int(np.ceil(SAMPLE_RATE / F0_RANGE[0]))
 _SHORTEST_PERIOD = int(SAMPLE_RATE // F0_RANGE[1])
 _DIP = 0.1  # a period is accepted where d' falls below this; librosa's value
 _CORE = _FRAME - _LONGEST_PERIOD - 1
-# pyin searches its best path in segments of a minute that overlap by 4 s. A single search over an
-# hour of sound would take gigabytes.
-_PATH_FRAMES, _PATH_CONTEXT = 6000, 200
 
 
-def track_pitch(
-    samples: np.ndarray, n_frames: int, tracker: str = "yin"
-) -> tuple[np.ndarray, np.ndarray]:
+def track_pitch(samples: np.ndarray, n_frames: int) -> tuple[np.ndarray, np.ndarray]:
     """Track the fundamental frequency and each frame's periodicity at that frequency.
 
     Args:
         samples: (N,) float32 at 16 kHz.
         n_frames: number of frames T; frame k is centred at k·0.01 s.
-        tracker: one of `TRACKERS`.
 
     Returns f0 (T,) Hz, always positive (YIN gives a period for noise too), and periodicity (T,)
     in 0..1: the correlation coefficient of the frame with itself one period later (Boersma
-    1993). It is 0 where the tracker itself marks the frame as unvoiced.
+    1993).
     """
-    f0 = TRACKERS[tracker](samples, n_frames)
-    unvoiced = ~(f0 > 0)
-    f0 = np.where(unvoiced, F0_RANGE[0], f0)
+    f0 = _yin(samples, n_frames)
     periodicity = np.empty(n_frames)
     for first, frames in centred_frames(samples, _FRAME, n_frames):
         here = slice(first, first + len(frames))
@@ -105,7 +97,6 @@ def track_pitch(
         energy = np.einsum("tn,tn->t", now, now) * np.einsum("tn,tn->t", later, later)
         product = np.einsum("tn,tn->t", now, later)
         periodicity[here] = product / np.sqrt(np.maximum(energy, 1e-12))
-    periodicity[unvoiced] = 0.0
     return f0, np.clip(periodicity, 0.0, 1.0)
 
 
@@ -150,32 +141,6 @@ def _normalised_difference(frames: np.ndarray) -> np.ndarray:
     wanted = np.s_[:, _SHORTEST_PERIOD - 1 :]
     return difference[wanted] / (mean[wanted] + np.finfo(mean.dtype).tiny)
 
-
-def _pyin(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Track f0 (T,) by probabilistic YIN (Mauch and Dixon 2014), about 15 times real time."""
-    librosa = import_librosa()
-    f0 = np.empty(n_frames)
-    for first in range(0, n_frames, _PATH_FRAMES):
-        last = min(first + _PATH_FRAMES, n_frames)
-        start = max(0, first - _PATH_CONTEXT)
-        found = librosa.pyin(
-            samples[start * HOP : (last + _PATH_CONTEXT) * HOP],
-            fmin=F0_RANGE[0],
-            fmax=F0_RANGE[1],
-            sr=SAMPLE_RATE,
-            frame_length=_FRAME,
-            hop_length=HOP,
-            fill_na=0.0,
-        )[0]
-        f0[first:last] = found[first - start : last - start]
-    return f0
-
-
-TRACKERS: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
-    "yin": _yin,
-    "pyin": _pyin,
-}
-"""Functions by name: samples (N,) at 16 kHz and T -> f0 (T,) in Hz, 0 where unvoiced."""
 
 FLOOR_DB = -60.0
 """Added to every power before the logarithm, relative to the active speech level."""
@@ -248,20 +213,17 @@ class ShortTimeSpectrum:
     """
 
     def __init__(self, wave: Wave) -> None:
-        self.wave = self._resampled(wave).at_level()
+        self.wave = wave.resample(SAMPLE_RATE).at_level()
         self.n_frames = wave.n_frames(FRAME_RATE)
         self.times = np.arange(self.n_frames) / FRAME_RATE
         self._log_mels: dict[int, np.ndarray] = {}
-        self._melodies: dict[str, Melody] = {}
 
-    def melody(self, tracker: str = "yin") -> Melody:
-        """Return pitch, voicing and energy, computed once for each tracker."""
-        if tracker not in self._melodies:
-            rms = self.wave.rms(self.times, window=0.05)
-            energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
-            f0, voicing = track_pitch(self.wave.samples, self.n_frames, tracker)
-            self._melodies[tracker] = audible_melody(f0, voicing, energy)
-        return self._melodies[tracker]
+    @cached_property
+    def melody(self) -> Melody:
+        """Pitch, voicing and energy."""
+        rms = self.wave.rms(self.times, window=0.05)
+        energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
+        return audible_melody(*track_pitch(self.wave.samples, self.n_frames), energy)
 
     @cached_property
     def power(self) -> np.ndarray:
@@ -271,7 +233,7 @@ class ShortTimeSpectrum:
     def log_mel(self, n_mels: int) -> np.ndarray:
         """Return (T, n_mels) float32 band powers in dB relative to active speech, at least -60."""
         if n_mels not in self._log_mels:
-            self._log_mels[n_mels] = to_db(self.power @ self._mel_filters(n_mels).T)
+            self._log_mels[n_mels] = to_db(self.power @ mel_filters(n_mels).T)
         return self._log_mels[n_mels]
 
     @cached_property
@@ -282,30 +244,20 @@ class ShortTimeSpectrum:
         onset[_ONSET_LAG:] = np.maximum(bands[_ONSET_LAG:] - bands[:-_ONSET_LAG], 0.0).mean(axis=1)
         return onset
 
-    def _resampled(self, wave: Wave) -> Wave:
-        return wave.resample(SAMPLE_RATE)
-
-    def _mel_filters(self, n_mels: int) -> np.ndarray:
-        return mel_filters(n_mels)
-
 
 def short_time_power(samples: np.ndarray, n_frames: int) -> np.ndarray:
     """Return the power (T, 257) float32 of 16 kHz samples at the level of active speech."""
     from scipy.fft import rfft
 
-    window = hann_window()
+    hann = np.hanning(WINDOW + 1)[:-1]
+    active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
+    # So scaled, active speech has power 1.
+    window = (hann * np.sqrt(2.0 / (np.sum(hann**2) * N_FFT * active))).astype(np.float32)
     power = np.empty((n_frames, N_FFT // 2 + 1), dtype=np.float32)
     for first, frames in centred_frames(samples, WINDOW, n_frames):
         spectrum = rfft(frames * window, N_FFT)
         power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
     return power
-
-
-def hann_window() -> np.ndarray:
-    """Return the Hann window (WINDOW,) float32, scaled so that active speech has power 1."""
-    window = np.hanning(WINDOW + 1)[:-1]
-    active = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0)
-    return (window * np.sqrt(2.0 / (np.sum(window**2) * N_FFT * active))).astype(np.float32)
 
 
 @lru_cache

@@ -15,7 +15,6 @@ from audio_features.acoustic.analysis import (
     MAX_MELS,
     N_FFT,
     SAMPLE_RATE,
-    TRACKERS,
     ShortTimeSpectrum,
     centred_frames,
     import_librosa,
@@ -24,7 +23,6 @@ from audio_features.errors import FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
 
-BACKENDS = ("numpy", "torchaudio")
 _OCTAVE_GUARD = 7.0  # semitones; see `ProsodicRange`
 
 
@@ -39,15 +37,13 @@ class AcousticExtractor(ABC):
         names: names of the D columns.
         centred: D flags; true for columns whose mean over a clip depends only on voice and
             recording conditions, so that it may be subtracted.
-        worth_caching: true if extraction is much slower than reading the result from a cache.
-        device: device on which torchaudio computes the spectrum; None for numpy and soxr.
+        worth_caching: false; extraction is about as fast as reading the result from a cache.
     """
 
     spec: dict[str, Any]
     names: tuple[str, ...]
     centred: tuple[bool, ...]
     worth_caching = False
-    device: str | None = None
 
     @property
     def dim(self) -> int:
@@ -56,15 +52,7 @@ class AcousticExtractor(ABC):
 
     def extract(self, wave: Wave) -> FeatureTrack:
         """Extract the features of a sound: values (T, D), frame k centred at k·0.01 s."""
-        return self.from_spectrum(self.spectrum_of(wave))
-
-    def spectrum_of(self, wave: Wave) -> ShortTimeSpectrum:
-        """Compute the input of `from_spectrum`; extractors with the same `device` can share it."""
-        if self.device is None:
-            return ShortTimeSpectrum(wave)
-        from audio_features.acoustic.torchaudio_backend import TorchaudioSpectrum
-
-        return TorchaudioSpectrum(wave, self.device)
+        return self.from_spectrum(ShortTimeSpectrum(wave))
 
     def from_spectrum(self, spectrum: ShortTimeSpectrum) -> FeatureTrack:
         """Extract the features (T, D) from a spectrum that other extractors may share."""
@@ -83,8 +71,7 @@ class LogMel(AcousticExtractor):
 
     Args:
         n_mels: number of bands.
-        backend: "numpy", or "torchaudio" if it is installed.
-        device: torch device for torchaudio. Not part of the spec.
+        backend: what computes the spectrum; "numpy".
 
     Examples:
         The power of a tone of 220 Hz is in the lowest of 8 bands:
@@ -98,9 +85,9 @@ class LogMel(AcousticExtractor):
         0
     """
 
-    def __init__(self, n_mels: int = 24, backend: str = "numpy", device: str = "cpu") -> None:
+    def __init__(self, n_mels: int = 24, backend: str = "numpy") -> None:
         self.n_mels = _whole_number("n_mels", n_mels, MAX_MELS)
-        self.device = _device(backend, device)
+        _check_only("backend", backend, "numpy")
         self.spec = {"kind": "logmel", "n_mels": self.n_mels, "backend": backend}
         self.names = tuple(f"mel_{i}" for i in range(self.n_mels))
         self.centred = (True,) * self.n_mels
@@ -119,7 +106,6 @@ class MFCC(AcousticExtractor):
     Args:
         n: number of coefficients.
         backend: see `LogMel`.
-        device: see `LogMel`.
 
     Examples:
         A second of sound has 100 frames:
@@ -130,9 +116,9 @@ class MFCC(AcousticExtractor):
         (100, 13)
     """
 
-    def __init__(self, n: int = 20, backend: str = "numpy", device: str = "cpu") -> None:
+    def __init__(self, n: int = 20, backend: str = "numpy") -> None:
         self.n = _whole_number("n", n, BANDS)
-        self.device = _device(backend, device)
+        _check_only("backend", backend, "numpy")
         self.spec = {"kind": "mfcc", "n": self.n, "backend": backend}
         self.names = tuple(f"mfcc_{i}" for i in range(self.n))
         self.centred = (True,) * self.n
@@ -152,9 +138,7 @@ class Prosody(AcousticExtractor):
     - `onset`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
 
     Args:
-        f0: pitch tracker: "yin", or "pyin", which is more stable but about thirty times slower.
-
-    Raises FeatureError if the tracker is unknown.
+        f0: pitch tracker; "yin".
 
     Examples:
         A tone rises by an octave, 12 semitones, and keeps its energy:
@@ -173,14 +157,11 @@ class Prosody(AcousticExtractor):
     centred = (True,) * 4
 
     def __init__(self, f0: str = "yin") -> None:
-        if f0 not in TRACKERS:
-            raise FeatureError(f"f0={f0!r}: one of {', '.join(TRACKERS)}")
-        self.f0 = f0
+        _check_only("f0", f0, "yin")
         self.spec = {"kind": "prosody", "f0": f0}
-        self.worth_caching = f0 == "pyin"
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        melody = spectrum.melody(self.f0)
+        melody = spectrum.melody
         columns = [melody.semitones, melody.voicing, melody.energy, spectrum.onset]
         return np.stack(columns, axis=1)
 
@@ -266,7 +247,7 @@ class ProsodicRange(AcousticExtractor):
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.ndimage import gaussian_filter1d
 
-        melody = spectrum.melody()
+        melody = spectrum.melody
         sigma = self.seconds * FRAME_RATE
         # The small constant keeps the range low where only a few frames are voiced.
         weight = gaussian_filter1d(melody.voiced.astype(float), sigma, mode="constant") + 0.02
@@ -279,15 +260,10 @@ class ProsodicRange(AcousticExtractor):
         return np.stack(columns, axis=1)
 
 
-def _device(name: str, device: str) -> str | None:
-    if name not in BACKENDS:
-        raise FeatureError(f"backend={name!r}: one of {', '.join(BACKENDS)}")
-    if name == "numpy":
-        return None
-    from audio_features.acoustic.torchaudio_backend import check_device
-
-    check_device(device)
-    return device
+def _check_only(name: str, value: str, known: str) -> None:
+    """Raise FeatureError unless the method that a spec names is the one that there is."""
+    if value != known:
+        raise FeatureError(f"{name}={value!r}: only {known!r} is known")
 
 
 def _checked_seconds(seconds: float, low: float, high: float) -> float:
@@ -347,7 +323,7 @@ class Effort(AcousticExtractor):
         self.spec = {"kind": "effort", "seconds": self.seconds}
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        melody = spectrum.melody()
+        melody = spectrum.melody
         pitch = 12.0 * np.log2(melody.f0 / F0_RANGE[0])
         hertz = np.fft.rfftfreq(N_FFT, 0.5 / 8000.0)
         bands = [(hertz >= low) & (hertz < high) for low, high in (_LOW_BAND, _HIGH_BAND)]
@@ -434,7 +410,7 @@ class Music(AcousticExtractor):
 
     def _chroma(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         if self.n_chroma == 1:
-            return spectrum.melody().energy[:, None]
+            return spectrum.melody.energy[:, None]
         from scipy.fft import rfft
 
         window = np.hanning(_CHROMA_WINDOW + 1)[:-1].astype(np.float32)

@@ -9,15 +9,11 @@ import numpy as np
 
 from audio_features.errors import FeatureError
 from audio_features.speech_encoders import (
-    SAMPLE_RATE,
     HiddenStateExtractor,
     LayerChoice,
     Options,
     checked_device,
-    normalized,
 )
-from audio_features.track import FeatureTrack
-from audio_features.wave import Wave
 from audio_features.wavlm.weights import HOP, WINDOW
 from audio_features.weight_files import check_fingerprint
 
@@ -65,10 +61,6 @@ class WavLM(HiddenStateExtractor):
                 chunks as possible, all of one length.
             context: part of a chunk that is context on either side, in seconds (5).
 
-    Attributes:
-        weights: description of the weights; `weights.describe()` summarises it in one line.
-        normalize: number added to the waveform's variance; None if it is not normalised.
-
     Raises WeightsError if the weights cannot be used, FeatureError for an invalid setting.
 
     Examples:
@@ -81,6 +73,7 @@ class WavLM(HiddenStateExtractor):
     """
 
     stem = "wavlm"
+    first, hop = WINDOW / 2, HOP
 
     def __init__(
         self,
@@ -124,12 +117,6 @@ class WavLM(HiddenStateExtractor):
             "dtype": self.dtype,
             "fingerprint": self.fingerprint,
         }
-
-    def extract(self, wave: Wave) -> FeatureTrack:
-        """Extract the hidden states of a sound at any sample rate: values (T, D)."""
-        values = self.hidden_states(normalized(wave.resample(SAMPLE_RATE).samples, self.normalize))
-        times = (np.arange(len(values)) * HOP + WINDOW / 2) / SAMPLE_RATE
-        return FeatureTrack(values, times, self.spec, self.names)
 
     def hidden_states(self, samples: np.ndarray) -> np.ndarray:
         """Compute (T, D) float32 from (N,) samples at 16 kHz, without normalising them."""

@@ -167,13 +167,9 @@ def print_preview(batch: Batch) -> None:
     seconds, size = estimated_cost(batch, counts["make"], sound)
     took = time_in_words(seconds / batch.execution.workers)
     parts = ", ".join(f"{count} to {action}" for action, count in counts.items())
-    click.echo(
-        f"{parts}; {time_in_words(sound)} of sound, about {size / 1e6:.1f} MB and "
-        f"{took} with {batch.execution.workers} of --workers, besides loading: {batch.out} "
-        "(dry run: nothing was written, and only the headers of sounds were read: damage inside "
-        "them is not counted)",
-        err=True,
-    )
+    parts += f"; {time_in_words(sound)} of sound, about {size / 1e6:.1f} MB and {took}"
+    parts += f" with {batch.execution.workers} of --workers, besides loading: {batch.out}"
+    click.echo(f"{parts} (dry run: nothing was written, and only headers were read)", err=True)
 
 
 @dataclass(frozen=True)
@@ -224,9 +220,7 @@ def _run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> No
             raise click.UsageError("--jobs, --launcher-option and --address require --launcher.")
         return
     if options["shard"] is not None:
-        raise click.UsageError(
-            f"--launcher {launcher} creates the shards itself: give --jobs, not --shard."
-        )
+        raise click.UsageError(f"--launcher {launcher} makes the shards: give --jobs, not --shard.")
     if (settings and launcher != "slurm") or (address and launcher != "ray"):
         raise click.UsageError("--launcher-option is for slurm, and --address for ray.")
     if options["dry_run"]:
@@ -260,9 +254,8 @@ def _run_slurm(
         jobs = executor.map_array(command, shards)
     except (NameError, RuntimeError, ValueError, AssertionError) as error:
         raise ConfigError(f"slurm: {error}") from None
-    click.echo(
-        f"Submitted {counted(len(jobs), 'job')}; Ctrl-C stops waiting, but not the jobs.", err=True
-    )
+    submitted = f"Submitted {counted(len(jobs), 'job')}"
+    click.echo(f"{submitted}; Ctrl-C stops waiting, but not the jobs.", err=True)
     codes = []
     for shard, job in zip(shards, jobs, strict=True):
         try:

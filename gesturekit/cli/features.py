@@ -52,8 +52,8 @@ _APPLY_TO = {
     "--extractor",
     default="logmel,prosody",
     metavar="LIST",
-    help=f"One or more of {', '.join(KINDS)}, or installed ones, which are concatenated. A size, "
-    "method or folder may follow: mfcc:16, prosody:pyin, music:1, hf:hubert-base/, files:64.",
+    help=f"One or more of {', '.join(KINDS)}, or installed ones, which are concatenated. A size "
+    "or folder may follow: mfcc:16, music:1, hf:hubert-base/, files:64.",
 )
 @click.option("--rate", type=float, help="Rows per second of npy files of own features (files).")
 @output_folder_option

@@ -109,7 +109,5 @@ def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, bool]:
             is_complete = False
             click.echo(f"Error: {error}", err=True)
     if not sample.count:
-        raise EvaluationError(
-            f"no motion (bvh, npz) could be read from {', '.join(map(str, paths))}"
-        )
+        raise EvaluationError(f"no motion could be read from {', '.join(map(str, paths))}")
     return sample, is_complete

@@ -69,11 +69,8 @@ def _print(status: Status, out: Path) -> None:
         whole = sum(done == count for count, done in status.shards)
         click.echo(f"shards: {whole} of {len(status.shards)} finished")
     for about in status.running:
-        click.echo(
-            printable(
-                f"running: process {about.get('pid')} on {about.get('host')}, {about['name']}"
-            )
-        )
+        where = f"process {about.get('pid')} on {about.get('host')}, {about['name']}"
+        click.echo(printable(f"running: {where}"))
     if status.in_hand and not status.running:
         names = ", ".join(status.in_hand[:5])
         click.echo(printable(f"in progress when a run was killed: {names}"))

@@ -111,10 +111,8 @@ def command(ctx: click.Context, **options: Any) -> None:
     from gesturekit.systems import bundled_speech, fit_live, load
 
     if words := options.pop("words"):
-        raise click.UsageError(
-            f"{words[0]!r}: sound is given by --from, and outputs by --to: gesturekit live --from "
-            "speech.wav --to page,record:take.bvh"
-        )
+        how = "give sound by --from, and outputs by --to (--from speech.wav --to page)"
+        raise click.UsageError(f"{words[0]!r}: {how}")
     if (corpus := options.pop("corpus")) is not None:
         fit_live(options["model"], corpus)
         return

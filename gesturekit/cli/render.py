@@ -308,11 +308,8 @@ class _Summary:
         fps = result.facts.get("fps")
         differs = fps is not None and rate is not None and abs(fps - rate) > 0.01 * rate
         if differs and not self._has_named_rate:
-            click.echo(
-                f"Written at {fps:g} fps; the model's own rate is {rate:g} fps "
-                "(change it with --fps).",
-                err=True,
-            )
+            text = f"Written at {fps:g} fps; the model's own rate is {rate:g} fps (--fps sets it)."
+            click.echo(text, err=True)
             self._has_named_rate = True
         if result.error is not None:
             click.echo(f"Failed: {result.error}", err=True)
@@ -339,12 +336,8 @@ def _warn_of_speakers(model: Model, batch: Batch) -> None:
     if isinstance(renderer, Renderer) and all(map(renderer.has_speaker, batch.tasks)):
         return
 
-    click.echo(
-        f"Warning: the model has {len(model.speakers)} speakers and none is chosen: gestures are "
-        "those of all of them, on a skeleton of median size; choose one by --speaker "
-        f"({listed(sorted(model.speakers))})",
-        err=True,
-    )
+    text = f"the model has {len(model.speakers)} speakers, and gestures are those of all of them"
+    click.echo(f"Warning: {text}: --speaker ({listed(sorted(model.speakers))})", err=True)
 
 
 def _write_page(batch: Batch) -> None:

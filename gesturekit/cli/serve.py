@@ -43,9 +43,8 @@ def command(
         from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
         from gesturekit.serving.app import Limits, create_app
     except ImportError as error:
-        raise ConfigError(
-            f"{error.name} is not installed; run: pip install 'gesturekit[serve]'"
-        ) from None
+        how = "pip install 'gesturekit[serve]'"
+        raise ConfigError(f"{error.name} is not installed; run: {how}") from None
     from gesturekit.systems import load
 
     renamed = {"max_mb": "megabytes", "max_seconds": "seconds", "max_frames": "frames"}

@@ -55,10 +55,7 @@ def command(
     _refuse_options([str(config or ""), *overrides])
     if config is None or ("=" in str(config) and not config.exists()):
         given = shlex.join([str(config), *overrides]) if config else "corpus=CORPUS.jsonl"
-        raise click.UsageError(
-            "name a recipe or a configuration first (gesturekit recipes ls); for your own "
-            f"recordings: gesturekit train own_corpus {given}"
-        )
+        raise click.UsageError(f"name a recipe or a file: gesturekit train own_corpus {given}")
     if workers is not None:
         overrides = (*overrides, f"workers={workers}")
     if show:

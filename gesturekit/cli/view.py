@@ -122,11 +122,8 @@ def _compare_lengths(audio: Path, longest: float) -> None:
     from audio_features import Wave
 
     if abs((sound := Wave.load(audio).duration) - longest) > _TOLERANCE:
-        click.echo(
-            f"Warning: {audio} lasts {sound:.1f} s, the motion {longest:.1f} s: the longer of the "
-            "two is played to its end; check that they belong together",
-            err=True,
-        )
+        text = f"{audio} lasts {sound:.1f} s, the motion {longest:.1f} s: do they belong together?"
+        click.echo(f"Warning: {text}", err=True)
 
 
 def _files_of(clips: tuple[Path, ...]) -> list[Path]:
@@ -135,10 +132,8 @@ def _files_of(clips: tuple[Path, ...]) -> list[Path]:
 
     files = [motion for clip in clips for motion in motions_of(clip)]
     if len(files) > (most := max(len(clips), _MOST)):
-        click.echo(
-            f"Warning: {len(files)} motions; the page shows the first {most}, or those you name",
-            err=True,
-        )
+        text = f"{len(files)} motions; the page shows the first {most}, or those you name"
+        click.echo(f"Warning: {text}", err=True)
     return files[:most]
 
 

@@ -126,11 +126,10 @@ def _function(
     known_options = _keywords(table[suffix])
     for option in set(options).difference(known_options):
         others = ", ".join(other for other in table if option in _keywords(table[other]))
-        raise FormatError(
-            f"{path}: {suffix} has no option {option!r} to {verb} it with, "
-            f"{f'only {others}' if others else 'nor has any other format'}; "
-            f"{suffix} has {', '.join(known_options) or 'no options'}"
-        )
+        only = f"only {others}" if others else "nor has any other format"
+        known = ", ".join(known_options) or "no options"
+        what = f"{suffix} has no option {option!r} to {verb} it with"
+        raise FormatError(f"{path}: {what}, {only}; {suffix} has {known}")
     return load_function(table[suffix])
 
 

@@ -91,20 +91,6 @@ def test_settings_out_of_range_are_refused():
             kind(wrong)
 
 
-@pytest.mark.stress  # librosa compiles pyin for seconds
-def test_pyin_finds_the_same_melody(speech):
-    extractor = Prosody("pyin")
-    assert extractor.spec["f0"] == "pyin"
-    ours, theirs = Prosody().extract(speech), extractor.extract(speech)
-    assert theirs.names == ours.names and theirs.values.shape == ours.values.shape
-    both = (columns(ours, "voicing") > 0.8) & (columns(theirs, "voicing") > 0.8)
-    assert both.mean() > 0.25
-    assert np.median(np.abs(columns(ours, "f0") - columns(theirs, "f0"))[both]) < 0.5
-    for seconds in (0.025, 0.1):
-        short = Wave(speech.samples[: round(16_000 * seconds)], 16_000)
-        assert len(extractor.extract(short).values) == short.n_frames(100)
-
-
 def test_an_unknown_tracker_or_backend_is_named():
     with pytest.raises(FeatureError, match="(?=.*'crepe').*yin"):
         Prosody("crepe")
