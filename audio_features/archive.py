@@ -91,20 +91,12 @@ class Archive:
                 shape, _, dtype = _READERS[version](member)
                 held = info.file_size - member.tell()
             if dtype.hasobject:
-                raise ValueError(
-                    "it is a pickled Python object, which could run code and is never loaded; "
-                    "save it as a plain array"
-                )
+                raise ValueError("a pickled Python object could run code: save a plain array")
             n_bytes = dtype.itemsize * math.prod(shape)
             if n_bytes != held or (not dtype.itemsize and math.prod(shape) > 1):
-                raise ValueError(
-                    f"it declares shape {shape} of {dtype}, {n_bytes} bytes, and holds {held}"
-                )
+                raise ValueError(f"{shape} of {dtype} takes {n_bytes} bytes, but it holds {held}")
             if n_bytes > self._left:
-                raise ValueError(
-                    f"it unpacks to {n_bytes / 2**20:.0f} MiB, far more than its file suggests; "
-                    "save it with numpy.savez"
-                )
+                raise ValueError(f"unpacks to {n_bytes / 2**20:.0f} MiB, far more than its file")
             self._left -= n_bytes
             with self._members.open(info) as member:
                 return np.lib.format.read_array(member, allow_pickle=False)
@@ -200,6 +192,4 @@ def check_directory(path: Path, *, zip64: bool = False) -> None:
         if place != size - len(tail) + start:
             raise ValueError("it is not a whole zip archive")
     if directory > _MAX_DIRECTORY:
-        raise ValueError(
-            f"its list of members takes {directory} bytes, at most {_MAX_DIRECTORY} are read"
-        )
+        raise ValueError(f"its list of members takes {directory} bytes, of a few arrays")

@@ -13,7 +13,7 @@ import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -169,14 +169,12 @@ def size_limit() -> int:
     except (ValueError, OverflowError):
         limit = -1
     if limit < 0:
-        raise AudioFeaturesError(
-            f"GESTUREKIT_CACHE_GB={size!r}: give the gigabytes that the cache may hold, 0 for none"
-        )
+        raise AudioFeaturesError(f"GESTUREKIT_CACHE_GB={size!r}: give gigabytes, 0 for no cache")
     return limit
 
 
 # Packages of which another version may change the last bits of a feature.
-_NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "torchaudio")
+_NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch")
 
 
 class FeatureCache(DiskCache):
@@ -186,13 +184,11 @@ class FeatureCache(DiskCache):
     has a method `digest_beside(wave)`, the extractor's spec (settings and
     fingerprint of the weights), the source code of this package, and the versions of the
     numerical libraries. A change of any of these gives another entry, so the cache never has to
-    be cleared by hand. A value read from the cache is bit-identical to the extracted one. With
-    `precision` "fp16" the first call rounds too, so that all calls agree. The device is not part
-    of a spec, so a CPU may read features computed on a GPU.
+    be cleared by hand. A value read from the cache is bit-identical to the extracted one. The
+    device is not part of a spec, so a CPU may read features computed on a GPU.
 
-    Light features (log-mel, MFCC, prosody by YIN, onsets, music) are not cached: they
-    take less than a hundredth of the sound's duration, and 20 kB per second on disk. WavLM
-    and pitch by pyin are cached. The parts of a `Stack` are cached separately.
+    Acoustic features are not cached: they take less than a hundredth of the sound's duration, and
+    20 kB per second on disk. The parts of a `Stack` are cached separately.
 
     Several processes may share a folder. An entry gets its final name only when it is complete;
     an entry with a wrong checksum is extracted again. If the folder cannot be written to,
@@ -201,7 +197,6 @@ class FeatureCache(DiskCache):
     Args:
         folder: folder of the cache; None means `default_folder()`.
         max_bytes: size limit; beyond it the least recently used entries are removed.
-        precision: "fp16" halves the size, with a relative error of at most 0.05 %.
 
     Examples:
         Light features are extracted each time; nothing is stored:
@@ -214,18 +209,6 @@ class FeatureCache(DiskCache):
         >>> cache.contents().entries
         0
     """
-
-    def __init__(
-        self,
-        folder: str | os.PathLike[str] | None = None,
-        *,
-        max_bytes: int = MAX_BYTES,
-        precision: Literal["fp32", "fp16"] = "fp32",
-    ) -> None:
-        if precision not in ("fp32", "fp16"):
-            raise FeatureError(f"precision={precision!r}: fp32 or fp16")
-        super().__init__(folder, max_bytes=max_bytes)
-        self.precision = precision
 
     def extract(self, extractor: Extractor, wave: Wave) -> FeatureTrack:
         """Return `extractor.extract(wave)`, values (T, D), from the cache if possible."""
@@ -241,11 +224,9 @@ class FeatureCache(DiskCache):
         path = self._entry(extractor, wave)
         track = self._read(path, extractor)
         if track is None:
-            track = self._rounded(extractor.extract(wave))
-            kind = np.float16 if self.precision == "fp16" else np.float32
-            values = track.values.astype(kind, copy=False)
-            about = {"checksum": _checksum(values, track.times)}
-            self.write(path, save({"values": values, "times": track.times}, about))
+            track = extractor.extract(wave)
+            about = {"checksum": _checksum(track.values, track.times)}
+            self.write(path, save({"values": track.values, "times": track.times}, about))
         return track
 
     def _entry(self, extractor: Extractor, wave: Wave) -> Path:
@@ -253,21 +234,12 @@ class FeatureCache(DiskCache):
             "sound": wave.digest,
             "beside": extractor.digest_beside(wave) if hasattr(extractor, "digest_beside") else "",
             "spec": extractor.spec,
-            "precision": self.precision,
             "code": digest_of_sources(Path(__file__).parent),
             "versions": installed_versions(_NUMERICAL),
         }
         text = json.dumps(made_of, sort_keys=True, allow_nan=False)
         key = hashlib.sha256(text.encode()).hexdigest()
         return self.path(KINDS[0], key, ".safetensors")
-
-    def _rounded(self, track: FeatureTrack) -> FeatureTrack:
-        if self.precision == "fp32":
-            return track
-        largest = float(np.abs(track.values).max(initial=0.0))
-        if largest > np.finfo(np.float16).max:
-            raise FeatureError(f"a value of {largest:.3g} does not fit into fp16: cache as fp32")
-        return FeatureTrack(track.values.astype(np.float16), track.times, track.spec, track.names)
 
     def _read(self, path: Path, extractor: Extractor) -> FeatureTrack | None:
         """Read an entry and mark it as used; None if it is missing or damaged."""
@@ -289,7 +261,7 @@ class FeatureCache(DiskCache):
         return track
 
 
-def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> FeatureCache:
+def cache_from_environment() -> FeatureCache:
     """Return the cache in `default_folder()`, limited to $GESTUREKIT_CACHE_GB gigabytes (20).
 
     Every call returns the same object, so that the folder is not measured again for every sound.
@@ -300,12 +272,12 @@ def cache_from_environment(precision: Literal["fp32", "fp16"] = "fp32") -> Featu
         >>> af.cache_from_environment() is af.cache_from_environment()
         True
     """
-    return _shared(default_folder(), size_limit(), precision)
+    return _shared(default_folder(), size_limit())
 
 
 @lru_cache
-def _shared(folder: Path, max_bytes: int, precision: Literal["fp32", "fp16"]) -> FeatureCache:
-    return FeatureCache(folder, max_bytes=max_bytes, precision=precision)
+def _shared(folder: Path, max_bytes: int) -> FeatureCache:
+    return FeatureCache(folder, max_bytes=max_bytes)
 
 
 def _checksum(values: np.ndarray, times: np.ndarray) -> str:

@@ -5,6 +5,8 @@ Every message states the problem, the place (path or field), the value, and the 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 _BEGINNING, _END = 1000, 300
 
 
@@ -16,6 +18,21 @@ class ShortMessage(Exception):
         if len(text) <= _BEGINNING + _END:
             return text
         return f"{text[:_BEGINNING]} [...] {text[-_END:]}"
+
+
+def check_values(
+    error: type[Exception], where: str, values: Iterable[tuple[str, object, bool, str]]
+) -> None:
+    """Raise an error that names the first value that does not fit.
+
+    Args:
+        error: class of the error.
+        where: beginning of its message.
+        values: (name, value, whether it fits, what is expected) of each.
+    """
+    for name, value, fits, expected in values:
+        if not fits:
+            raise error(f"{where}{name} is {value!r:.80}; expected {expected}")
 
 
 class AudioFeaturesError(ShortMessage):

@@ -107,7 +107,7 @@ class Stack:
         spectra: dict[str | None, ShortTimeSpectrum] = {}
         tracks = []
         for part in self.parts:
-            if isinstance(part, AcousticExtractor) and not part.worth_caching:
+            if isinstance(part, AcousticExtractor):
                 if part.device not in spectra:
                     spectra[part.device] = part.spectrum_of(wave)
                 tracks.append(part.from_spectrum(spectra[part.device]))
@@ -267,10 +267,7 @@ def _installed(kind: Any, settings: dict[str, Any], device: str) -> Installed:
     if kind in kinds:
         return Installed(kinds[kind], settings, device)
     if package := settings.get("package"):
-        raise FeatureError(
-            f"the extractor {kind!r} is not installed here: install its package, {package!r}, "
-            "if you trust it"
-        )
+        raise FeatureError(f"extractor {kind!r} is not here: install {package!r} if you trust it")
     known, spec = ", ".join([*KINDS, *kinds, "stack"]), {"kind": kind, **settings}
     raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
 
@@ -329,10 +326,8 @@ def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str]
         return weights
     for name in weights:
         if name not in _PLACES:
-            raise WeightsError(
-                f"weights {name}={os.fspath(weights[name])}: {name!r} has no weights or files; "
-                f"expected {', '.join(_PLACES)}"
-            )
+            known = f"{name!r} has no weights or files; expected {', '.join(_PLACES)}"
+            raise WeightsError(f"weights {name}={os.fspath(weights[name])}: {known}")
     return weights.get(kind)
 
 
@@ -347,8 +342,5 @@ def _by_kind(parts: list[Any], weights: WeightPlaces | None) -> WeightPlaces | N
     kinds = list(dict.fromkeys(encoders))
     if len(kinds) > 1:
         named = " ".join(f"--weights {kind}=PATH" for kind in kinds)
-        raise WeightsError(
-            f"{os.fspath(weights)}: the features need {len(kinds)} encoders, but this is one path: "
-            f"give the weights of each ({named})"
-        )
+        raise WeightsError(f"{os.fspath(weights)}: give the weights of each encoder ({named})")
     return {kinds[0]: weights} if kinds else weights

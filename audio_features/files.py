@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from audio_features.errors import FeatureError, WeightsError
+from audio_features.errors import FeatureError, WeightsError, check_values
 from audio_features.track import NO_NUMBER, FeatureTrack, bad_value
 from audio_features.wave import Wave
 
@@ -56,33 +56,28 @@ class Files:
 
     def __init__(
         self,
-        dim: int | None = None,
+        dim: int = 0,
         suffix: str | None = None,
         rate: float | None = None,
         start: float = 0.0,
         centred: bool = False,
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
-        if not isinstance(dim, int) or not 1 <= dim <= _MOST_COLUMNS:
-            raise FeatureError(
-                f"files: dim is {dim!r}: give the number of columns of the files "
-                "(dim: 64, --extractor files:64)"
-            )
         suffix = (".npz" if rate is None else ".npy") if suffix is None else suffix
         is_name = isinstance(suffix, str) and Path(f"a{suffix}").name == f"a{suffix}"
-        if not is_name or not suffix.lower().endswith((".npz", ".npy")) or suffix[0] != ".":
-            raise FeatureError(f"files: suffix is {suffix!r}: expected .npz, .npy or .NAME.npy")
-        self._is_npy = suffix.lower().endswith(".npy")
-        if self._is_npy and not (isinstance(rate, int | float) and 1e-3 <= rate <= 1e6):
-            raise FeatureError(
-                f"files: rate is {rate!r}: give the rows per second of *{suffix} (rate: 50, "
-                "--rate 50)"
-            )
+        is_kind = is_name and suffix.lower().endswith((".npz", ".npy")) and suffix[0] == "."
+        self._is_npy = is_kind and suffix.lower().endswith(".npy")
+        is_rate = isinstance(rate, int | float) and 1e-3 <= rate <= 1e6
         is_time = isinstance(start, int | float) and math.isfinite(start)
-        if not is_time or not isinstance(centred, bool):
-            raise FeatureError(
-                f"files: start is {start!r}, centred {centred!r}: a time, true/false"
-            )
+        is_size = isinstance(dim, int) and 1 <= dim <= _MOST_COLUMNS
+        values = (
+            ("dim", dim, is_size, "the number of columns (dim: 64, files:64)"),
+            ("suffix", suffix, is_kind, ".npz, .npy or .NAME.npy"),
+            ("rate", rate, is_rate or not self._is_npy, f"rows per second of {suffix} (--rate 50)"),
+            ("start", start, is_time, "seconds"),
+            ("centred", centred, isinstance(centred, bool), "true or false"),
+        )
+        check_values(FeatureError, "files: ", values)
         self.dim, self.suffix, self.rate, self.start = dim, suffix, rate, start
         self.folder = None if folder is None else Path(folder)
         if self.folder is not None and not self.folder.is_dir():
@@ -119,11 +114,8 @@ class Files:
             name = Path(wave.source or "STEM.wav").with_suffix(self.suffix).name
             where = "beside it" if self.folder is None else f"in {self.folder}"
             npy = "" if self._is_npy else " (an npy needs a rate)"
-            raise FeatureError(
-                f"{wave.source or 'a sound that is no file'}: no file of features {name} {where}"
-                f"{npy}: compute it, or name its folder (folder: in a training's settings, "
-                "--weights files=FOLDER at rendering)"
-            )
+            missing = f"no file of features {name} {where}{npy}: compute it, or name its folder"
+            raise FeatureError(f"{wave.source}: {missing} (folder:, --weights files=FOLDER)")
         try:
             values, times = self._read(path)
             self._check(path, times, wave)
@@ -159,10 +151,9 @@ class Files:
         slack = SLACK + 2 * float(np.median(np.diff(times[:1000])))
         end = wave.offset + wave.duration
         if times[-1] < end - slack or times[0] > wave.offset + slack:
-            raise FeatureError(
-                f"its {len(times)} rows are from {times[0]:.2f} to {times[-1]:.2f} s, the sound is "
-                f"from {wave.offset:.2f} to {end:.2f} s: check the rate and the file"
-            )
+            rows = f"its {len(times)} rows are from {times[0]:.2f} to {times[-1]:.2f} s"
+            sound = f"the sound from {wave.offset:.2f} to {end:.2f} s"
+            raise FeatureError(f"{rows}, {sound}: check the rate and the file")
         if times[-1] > end + slack and times[-1] > (whole := _length(wave)) + slack:
             text = "%s: its rows end at %.2f s, the sound %s at %.2f s; check the rate"
             log.warning(text, path, times[-1], wave.source, whole)

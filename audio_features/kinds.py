@@ -42,7 +42,7 @@ class Kind:
 KINDS = {
     "logmel": Kind("acoustic.extractors", "LogMel", "n_mels"),
     "mfcc": Kind("acoustic.extractors", "MFCC", "n"),
-    "prosody": Kind("acoustic.extractors", "Prosody", "f0"),
+    "prosody": Kind("acoustic.extractors", "Prosody"),
     "onset": Kind("acoustic.extractors", "Onset"),
     "prosodic_range": Kind("acoustic.extractors", "ProsodicRange", "seconds"),
     "effort": Kind("acoustic.extractors", "Effort", "seconds"),

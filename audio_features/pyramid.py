@@ -110,10 +110,7 @@ def residual_pyramid(values: np.ndarray, lengths: Sequence[int]) -> list[np.ndar
     """
     values = np.asarray(values)
     if not len(lengths) or lengths[-1] != len(values):
-        raise FeatureError(
-            f"lengths are {list(lengths)}, values have {len(values)} frames: "
-            "the last length must be the number of frames (see level_lengths)"
-        )
+        raise FeatureError(f"lengths {list(lengths)}: the last must be the {len(values)} frames")
     levels = [resample_frames(values, n) for n in lengths]
     residuals = [
         resample_frames(coarse, len(fine)) - fine

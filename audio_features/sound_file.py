@@ -75,10 +75,9 @@ def open_sound(name: str) -> Iterator[soundfile.SoundFile]:
             raise AudioError(message) from error
         reason = str(error).rpartition(f"{name!r}: ")[2].rstrip(".")
         raw_line = _ffmpeg_line(name, "-f s16le -ar 16000 -ac 1 ")
-        raise AudioError(
-            f"{name}: cannot be read as sound ({reason}; it begins with {head!r}): give a wav, "
-            f"flac, ogg, mp3 or aiff file, or run {_ffmpeg_line(name)} (raw samples: {raw_line})"
-        ) from error
+        ways = f"give a wav, or run {_ffmpeg_line(name)} (raw samples: {raw_line})"
+        what = f"cannot be read as sound ({reason}; it begins with {head!r})"
+        raise AudioError(f"{name}: {what}: {ways}") from error
 
 
 def soundfile_name(path: str | os.PathLike[str]) -> str | bytes:
@@ -111,11 +110,8 @@ def read_channel(
         raise AudioError(f"{name}: channel {channel}: the file has {file.channels}, counted from 1")
     size, times = Path(name).stat().st_size, _EXPANSION.get(file.format, 20)
     if 4 * count > max(_UNCHECKED_BYTES, times * size):
-        raise AudioError(
-            f"{name}: {count} samples from a file of {size} bytes: over {_UNCHECKED_BYTES >> 20} "
-            f"MB, and over {times} times the file: if it is sound, give start and duration, or "
-            f"make a wav of it: {_ffmpeg_line(name)}"
-        )
+        held = f"{count} samples from a file of {size} bytes, over {times} times the file"
+        raise AudioError(f"{name}: {held}: give start and duration, or {_ffmpeg_line(name)}")
     samples, levels = np.empty(count, dtype=np.float32), ChannelLevels()
     file.seek(first)
     done = 0
@@ -138,10 +134,7 @@ def read_channel(
     if is_short:
         raise _truncated(name, f"{first + count} samples a channel", f"{first + done} can be read")
     if "reports a hole" in file.extra_info:
-        raise AudioError(
-            f"{name}: damaged: a page of the Ogg file is missing or has a wrong checksum: copy or "
-            "export the file again"
-        )
+        raise AudioError(f"{name}: an Ogg page is missing or has a wrong checksum: export it again")
     if channel is None and (used := levels.instead_of_mean()) is not None:
         return read_channel(file, name, first, count, used)
     return samples[:done], channel
@@ -156,10 +149,8 @@ def _check_header(file: soundfile.SoundFile, name: str) -> None:
             if int(declared) not in _UNKNOWN_SIZES:
                 raise _truncated(name, f"{declared} bytes of sound", f"{actual} are there")
         elif field not in ("RIFF", "FORM", "Riff size"):  # other tags may follow
-            raise AudioError(
-                f"{name}: the header contradicts itself: {field} is {declared}, expected {actual}: "
-                f"export it again, or run {_ffmpeg_line(name)}"
-            )
+            why = f"the header contradicts itself: {field} is {declared}, expected {actual}"
+            raise AudioError(f"{name}: {why}: run {_ffmpeg_line(name)}")
     frames = re.search(_RF64_FRAMES, log)
     if frames is not None and int(frames[1]) < int(frames[2]):
         raise _truncated(name, f"{frames[2]} samples a channel", f"{frames[1]} are there")
@@ -173,10 +164,7 @@ def _check_header(file: soundfile.SoundFile, name: str) -> None:
         if not last[:1] or not last[0] & _IS_LAST:
             raise _truncated(name, "more Ogg pages", "the last one does not end the sound")
     elif file.format == "FLAC" and file.frames > 1 << 36:
-        raise AudioError(
-            f"{name}: a FLAC file of undeclared length (written to a pipe): run "
-            f"{_ffmpeg_line(name)}"
-        )
+        raise AudioError(f"{name}: a FLAC file of undeclared length: run {_ffmpeg_line(name)}")
 
 
 def _declares_length(name: str) -> bool:
@@ -280,10 +268,7 @@ def numbers(samples: ArrayLike, name: str) -> np.ndarray:
     # A batch of one sound.
     values = values.reshape([n for n in values.shape if n != 1] or [1])
     if not values.size or values.ndim not in (1, 2):
-        raise AudioError(
-            f"{name}: shape {np.shape(samples)}, expected samples (N,), or channels (C, N) or "
-            "(N, C)"
-        )
+        raise AudioError(f"{name}: shape {np.shape(samples)}, expected (N,), (C, N) or (N, C)")
     if values.dtype.kind == "f":
         return values.astype(np.float32)
     if values.dtype == np.int64:  # a list of whole numbers: of the fewest bits that hold them
@@ -292,10 +277,7 @@ def numbers(samples: ArrayLike, name: str) -> np.ndarray:
                 values = values.astype(narrower)
                 break
     if values.dtype.kind not in "iu" or values.dtype.itemsize > 4:
-        raise AudioError(
-            f"{name}: dtype {values.dtype}, expected floats with full scale ±1, or integers of 8, "
-            "16 or 32 bits"
-        )
+        raise AudioError(f"{name}: dtype {values.dtype}, expected floats, or 8 to 32 bit integers")
     half = 2.0 ** (8 * values.dtype.itemsize - 1)
     middle = half if values.dtype.kind == "u" else 0.0
     return ((values - middle) / half).astype(np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from audio_features.errors import FeatureError
+from audio_features.errors import AudioError, FeatureError
+from audio_features.track import FeatureTrack
+from audio_features.wave import Wave
 
 if TYPE_CHECKING:
     import torch
@@ -80,10 +83,8 @@ class Options:
         except (TypeError, ValueError):
             is_right = False
         if not is_right:
-            raise FeatureError(
-                f"{given}: give seconds from 0 to 1000000, and chunks longer than twice their "
-                "context"
-            )
+            how = "seconds from 0 to 1000000, and chunks longer than twice their context"
+            raise FeatureError(f"{given}: give {how}")
         for name, value in self.seconds.items():
             object.__setattr__(self, name, float(value))
 
@@ -156,8 +157,8 @@ class LayerChoice:
             chosen = [int(key) if str(key).isdecimal() else key for key in layer]
             try:
                 weights = [float(weight) for weight in layer.values()]
-            except (TypeError, ValueError) as error:
-                raise FeatureError(f"layer={layer!r}: a weight is not a number") from error
+            except (TypeError, ValueError):
+                weights = [np.nan]
             self.spec = dict(zip(map(str, chosen), weights))
         elif layer == "mean":
             chosen = list(range(top + 1))
@@ -165,24 +166,18 @@ class LayerChoice:
         else:
             several: list[Any] = list(layer) if isinstance(layer, list | tuple) else [layer]
             chosen = [top] if layer == "last" else several
-        for index in chosen:
-            if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index <= top:
-                raise FeatureError(
-                    f"layer={layer!r}: 'last', 'mean', or whole numbers from 0 to {top}"
-                )
+        numbers = {index for index in chosen if type(index) is int and 0 <= index <= top}
+        if not chosen or len(numbers) < len(chosen):
+            once = f"different numbers from 0 to {top}"
+            raise FeatureError(f"layer={layer!r}: give 'last', 'mean', or {once}")
         self.indices = tuple(chosen)
-        if not chosen or len(set(chosen)) < len(chosen):
-            raise FeatureError(f"layer={layer!r}: name each layer once, and at least one")
         if final_norm and top not in chosen:
-            raise FeatureError(
-                f"layer={layer!r} with final_norm: the final normalisation belongs to layer "
-                f"{top} alone: leave final_norm out"
-            )
+            raise FeatureError(f"layer={layer!r}: leave out final_norm, which is layer {top}'s")
         self.shares: dict[int, float] | None = None
         if weights is not None:
             total = sum(weights)
             if not np.isfinite(total) or total == 0:
-                raise FeatureError(f"layer={layer!r}: the weights must be finite and not sum to 0")
+                raise FeatureError(f"layer={layer!r}: give finite weights that do not sum to 0")
             self.shares = {index: weight / total for index, weight in zip(chosen, weights)}
 
     def pick(self, encoder: Any, states: Iterable[torch.Tensor]) -> torch.Tensor:
@@ -208,19 +203,40 @@ class LayerChoice:
         return torch.cat([picked[index] for index in self.indices], dim=-1)
 
 
-class HiddenStateExtractor:
-    """Columns of an extractor whose features are hidden states of an encoder.
+class HiddenStateExtractor(ABC):
+    """Extractor whose features are hidden states of an encoder.
 
     Attributes:
         weights: description of the weights; `weights.describe()` summarises it in one line.
         stem: beginning of the columns' names.
         spec: settings from which the extractor can be built again, as a JSON-serialisable value.
+        normalize: number added to the waveform's variance; None if it is not normalised.
+        first, hop: centre of the first frame, and the distance of two, in samples at 16 kHz.
     """
 
     weights: Any
     stem: str
     spec: Any
+    normalize: float | None
+    first: float
+    hop: int
     _choice: LayerChoice
+
+    @abstractmethod
+    def hidden_states(self, samples: np.ndarray) -> np.ndarray:
+        """Compute (T, D) float32 from (N,) samples at 16 kHz, without normalising them."""
+
+    def extract(self, wave: Wave) -> FeatureTrack:
+        """Extract the hidden states of a sound at any sample rate: values (T, D).
+
+        Raises AudioError for a sound shorter than one frame.
+        """
+        values = self.hidden_states(normalized(wave.resample(SAMPLE_RATE).samples, self.normalize))
+        if len(values) == 0:
+            short = f"{wave.duration:.4f} s is shorter than one frame of {self.weights.model}"
+            raise AudioError(f"{wave.source or 'the sound'}: {short}: give a longer sound")
+        times = (self.first + self.hop * np.arange(len(values))) / SAMPLE_RATE
+        return FeatureTrack(values, times, self.spec, self.names)
 
     @property
     def fingerprint(self) -> str:

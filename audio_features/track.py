@@ -20,7 +20,7 @@ FORMAT = 1
 LARGEST = 1e18
 """Largest magnitude of a value; the squares of larger ones are no float32 numbers."""
 NO_NUMBER = f"is not finite, or beyond {LARGEST:g}"
-Method = Literal["linear", "mean", "gaussian", "length_ratio"]
+Method = Literal["linear", "mean", "gaussian"]
 ALIGNMENTS = get_args(Method)
 """Methods of `to_rate` for aligning features with motion frames."""
 
@@ -55,9 +55,7 @@ class FeatureTrack:
             values = np.ascontiguousarray(self.values, dtype=np.float32)
         times = np.ascontiguousarray(self.times, dtype=np.float64)
         if values.ndim != 2 or times.shape != values.shape[:1] or len(times) == 0:
-            raise FeatureError(
-                f"values {values.shape} and times {times.shape}: expected (T, D) and (T,), T > 0"
-            )
+            raise FeatureError(f"values {values.shape}, times {times.shape}: expected (T, D), (T,)")
         names = tuple(self.names) or tuple(str(i) for i in range(values.shape[1]))
         if len(names) != values.shape[1]:
             raise FeatureError(f"{len(names)} names for {values.shape[1]} columns")
@@ -86,8 +84,8 @@ class FeatureTrack:
             return self._with(np.repeat(self.values, len(times), axis=0), times)
         lo = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         span = self.times[lo + 1] - self.times[lo]
-        w = np.clip((times - self.times[lo]) / span, 0.0, 1.0)
-        return self._with(self._between(lo, w), times)
+        w = np.clip((times - self.times[lo]) / span, 0.0, 1.0).astype(np.float32)[:, None]
+        return self._with(self.values[lo] * (1 - w) + self.values[lo + 1] * w, times)
 
     def to_rate(
         self,
@@ -104,10 +102,7 @@ class FeatureTrack:
             method: "linear" interpolates by true time. "mean" averages the frames within half
                 a motion frame, and interpolates if there are none; it avoids aliasing.
                 "gaussian" smooths these means with a standard deviation of one motion frame,
-                for models whose output jitters when features flicker. "length_ratio" ignores
-                time and maps the first frame to the first and the last to the last (torch's
-                `interpolate(align_corners=True)`); its error at the ends is up to a frame of
-                this track, so use it only to reproduce systems that did so.
+                for models whose output jitters when features flicker.
         """
         rate = exact_rate(fps)
         if n_frames is None:
@@ -118,10 +113,6 @@ class FeatureTrack:
         if method not in ALIGNMENTS:
             raise FeatureError(f"method={method!r}: one of {', '.join(ALIGNMENTS)}")
         times = np.arange(n_frames) * rate.denominator / rate.numerator
-        if method == "length_ratio":
-            position = np.arange(n_frames) * (len(self.times) - 1) / max(n_frames - 1, 1)
-            lo = position.astype(np.int64)
-            return self._with(self._between(lo, position - lo), times)
         track = self.at(times)
         if method == "linear":
             return track
@@ -156,18 +147,14 @@ class FeatureTrack:
         Raises FeatureError for other files and newer formats.
         """
         name = os.fspath(path)
-        if not Path(name).is_file():
-            raise FeatureError(f"{name}: no such file: give a feature file (npz)")
         try:
             with open_archive(name, FeatureError) as archive:
                 values, times = archive.numbers("values", np.float32), archive.numbers("times")
                 spec = json.loads("".join(archive.texts("spec"))) if "spec" in archive else {}
         except (ValueError, RecursionError) as error:
             reason = str(error).removeprefix(f"{Path(name)}: ")
-            raise FeatureError(
-                f"{name}: not a feature file (npz with values, times, spec): {reason}: "
-                "make it again with `gesturekit features`"
-            ) from error
+            how = f"{reason}: make it again with `gesturekit features`"
+            raise FeatureError(f"{name}: not a feature file (npz): {how}") from error
         if not isinstance(spec, dict):
             raise FeatureError(f"{name}: spec is {type(spec).__name__}, expected a JSON object")
         number, names = spec.pop("format", FORMAT), spec.pop("names", ())
@@ -177,12 +164,6 @@ class FeatureTrack:
             return cls(values, times, spec, tuple(map(str, names)))
         except (FeatureError, TypeError, ValueError) as error:
             raise FeatureError(f"{name}: {error}") from error
-
-    def _between(self, lo: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Interpolate (M, D) between frames lo (M,) and lo + 1; w (M,) is the latter's weight."""
-        w = w.astype(np.float32)[:, None]
-        after = np.minimum(lo + 1, len(self.times) - 1)
-        return self.values[lo] * (1 - w) + self.values[after] * w
 
     def _with(self, values: np.ndarray, times: np.ndarray) -> FeatureTrack:
         return FeatureTrack(values, times, self.spec, self.names)

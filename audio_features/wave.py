@@ -96,24 +96,19 @@ class Wave:
         name = self.source or "samples"
         samples = np.asarray(self.samples)
         if samples.ndim != 1 or samples.dtype.kind != "f":
-            raise AudioError(
-                f"{name}: shape {samples.shape} of {samples.dtype}, expected one channel (N,) of "
-                "floats with full scale ±1"
-            )
+            held = f"shape {samples.shape} of {samples.dtype}"
+            raise AudioError(f"{name}: {held}, expected one channel (N,) of floats to ±1")
         object.__setattr__(self, "samples", np.ascontiguousarray(samples, dtype=np.float32))
         object.__setattr__(self, "sample_rate", checked_rate(self.sample_rate, name))
         if Fraction(len(samples), self.sample_rate) < MIN_SECONDS:
-            raise AudioError(
-                f"{name}: {len(samples)} samples at {self.sample_rate} Hz are "
-                f"{1000 * self.duration:.1f} ms: give at least {1000 * float(MIN_SECONDS):.0f} ms"
-            )
+            held = f"{len(samples)} samples at {self.sample_rate} Hz"
+            ms, least = 1000 * self.duration, 1000 * float(MIN_SECONDS)
+            raise AudioError(f"{name}: {held} are {ms:.1f} ms: give at least {least:.0f} ms")
         finite = np.isfinite(self.samples)
         if not finite.all():
             bad = int(np.argmin(finite))
-            raise AudioError(
-                f"{name}: sample {bad} ({bad / self.sample_rate:.3f} s) is {self.samples[bad]}: "
-                "export the sound again without NaN or infinite values"
-            )
+            where = f"sample {bad} ({bad / self.sample_rate:.3f} s) is {self.samples[bad]}"
+            raise AudioError(f"{name}: {where}: export the sound again without it")
 
     def __repr__(self) -> str:
         source = "" if self.source is None else f" of {self.source!r}"
@@ -178,9 +173,7 @@ class Wave:
         name = source or "samples"
         values = numbers(samples, name)
         if sample_rate is None:
-            raise AudioError(
-                f"{name}: an array holds no sample rate: give sample_rate, for example 16000 (Hz)"
-            )
+            raise AudioError(f"{name}: an array without rate: give sample_rate, such as 16000")
         rate, repairs = checked_rate(sample_rate, name), []
         if values.ndim == 2:
             values, used = one_channel(values)
@@ -340,10 +333,7 @@ def checked_rate(rate: int, name: str) -> int:
     """Return a sample rate as int; raise AudioError unless it is a whole number in range."""
     low, high = SAMPLE_RATES
     if not isinstance(rate, Real) or not low <= rate <= high or int(rate) != rate:
-        raise AudioError(
-            f"{name}: sample rate {rate!r} Hz, expected a whole number from {low} to {high}: "
-            "resample the sound, or correct its header"
-        )
+        raise AudioError(f"{name}: sample rate {rate!r} Hz, expected an integer, {low} to {high}")
     return int(rate)
 
 
@@ -352,17 +342,12 @@ def _segment(
 ) -> tuple[int, int]:
     """Return the first sample and the number of samples of a segment given in seconds."""
     if not 0 <= start < math.inf or not (duration is None or 0 < duration < math.inf):
-        raise AudioError(
-            f"{name}: start is {start} s, duration {duration} s: give a start from 0, and a "
-            "duration above 0, or None"
-        )
+        raise AudioError(f"{name}: start is {start} s, duration {duration} s: give seconds from 0")
     first = round(start * rate)
     if first >= n > 0:
         raise AudioError(f"{name}: start is {start} s but the sound ends at {n / rate:.3f} s")
     count = n - first if duration is None else min(n - first, round(duration * rate))
     if count > max_seconds * rate:
-        raise AudioError(
-            f"{name}: {count / rate:.0f} s of sound exceed the limit of {max_seconds:.0f} s: "
-            "split the file, or give start and duration (or a larger max_seconds)"
-        )
+        limit = f"{count / rate:.0f} s of sound exceed the limit of {max_seconds:.0f} s"
+        raise AudioError(f"{name}: {limit}: give start and duration, or max_seconds")
     return first, count

@@ -97,10 +97,7 @@ def read_preprocessor(folder: Path, usual: Mapping[str, Any]) -> dict[str, Any]:
     settings = read_json(path) if path.exists() else {}
     for name, value in ({"sampling_rate": 16_000} | dict(usual)).items():
         if settings.get(name, value) != value:
-            raise WeightsError(
-                f"{path}: {name} is {settings[name]!r}, expected {value}: take the file that came "
-                "with the weights"
-            )
+            raise WeightsError(f"{path}: {name} is {settings[name]!r}, expected {value}")
     return settings
 
 
@@ -128,10 +125,8 @@ def check_fingerprint(source: str | os.PathLike[str], actual: str, wanted: str |
         wanted: fingerprint in the spec; None accepts every encoder.
     """
     if wanted not in (None, actual):
-        raise WeightsError(
-            f"{os.fspath(source)}: these weights have fingerprint {actual}, the features were made "
-            f"with {wanted}: give the weights that the model was trained on"
-        )
+        made = f"have fingerprint {actual}, the features were made with {wanted}"
+        raise WeightsError(f"{os.fspath(source)}: these weights {made}: give the model's own")
 
 
 def read_folder(folder: Path) -> dict[str, torch.Tensor]:
@@ -144,20 +139,16 @@ def read_folder(folder: Path) -> dict[str, torch.Tensor]:
     there = [name for name in names if (folder / name).is_file()]
     if not there:
         here = ", ".join(sorted(entry.name for entry in folder.iterdir())[:10]) or "nothing"
-        raise WeightsError(
-            f"{folder}: no model.safetensors and no pytorch_model.bin (found: {here}): "
-            "download the model's weights into the folder"
-        )
+        wanted = "no model.safetensors and no pytorch_model.bin"
+        raise WeightsError(f"{folder}: {wanted} (found: {here}): download the weights")
     files = there[:1]
     if files == [_INDEX]:
         parts = read_json(folder / _INDEX).get("weight_map")
         files = sorted(set(map(str, parts.values()))) if isinstance(parts, dict) else []
         outside = [name for name in files if Path(name).name != name]
         if not files or outside:
-            raise WeightsError(
-                f"{folder / _INDEX}: weight_map names {outside[:1] or 'no files'}, expected files "
-                "of this folder: download it again"
-            )
+            held = outside[:1] or "no files"
+            raise WeightsError(f"{folder / _INDEX}: weight_map names {held}, not files beside it")
     tensors: dict[str, torch.Tensor] = {}
     for name in files:
         tensors |= plain_tensors(folder / name, read_file(folder / name))
@@ -180,9 +171,7 @@ def read_file(path: Path) -> Any:
                     raise ValueError("it is compressed, which torch never does")
             return torch.load(path, map_location="cpu", weights_only=True)
         if start[:2] != b"\x80\x02":  # the pickle that a legacy file of torch begins with
-            raise ValueError(
-                f"it begins with {start[:8]!r}, unlike the files of torch and safetensors"
-            )
+            raise ValueError(f"it begins with {start[:8]!r}, unlike torch's and safetensors'")
         # A file allocates as much as its pickle claims to need; bytes give what they have.
         content = io.BytesIO(path.read_bytes())
         return torch.load(content, map_location="cpu", weights_only=True)
@@ -198,10 +187,8 @@ def read_file(path: Path) -> Any:
                 f"c = torch.load({str(path)!r}); "
                 "torch.save({'cfg': vars(c['cfg']), 'model': c['model']}, 'plain.pt')"
             )
-        raise WeightsError(
-            f"{path}: holds a Python object ({kind[1]}), which could run code and is not read: "
-            f"{remedy}"
-        ) from error
+        what = f"holds a Python object ({kind[1]}), which could run code and is not read"
+        raise WeightsError(f"{path}: {what}: {remedy}") from error
     except Exception as error:  # torch documents no exception for damaged files
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise _unreadable(path, reason) from error
@@ -223,9 +210,7 @@ def plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
     # A tensor with stride 0 may claim more values than the file holds.
     claimed = sum(tensor.numel() * tensor.element_size() for tensor in content.values())
     if claimed > 2 * path.stat().st_size:
-        raise _unreadable(
-            path, f"the tensors claim {claimed} bytes, the file has {path.stat().st_size}"
-        )
+        raise _unreadable(path, f"tensors claim {claimed} bytes of {path.stat().st_size}")
     tensors = {}
     for name, tensor in content.items():
         for old, new in _OLD_NAMES:
@@ -279,11 +264,9 @@ def fitting_tensors(
     for problem, names in problems.items():
         if names:
             more = f"; and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-            raise WeightsError(
-                f"{place}: {len(names)} tensors are {problem} "
-                f"({'; '.join(sorted(names)[:_MOST_LISTED])}{more}): settings and weights must "
-                "come from the same model"
-            )
+            held = f"{problem} ({'; '.join(sorted(names)[:_MOST_LISTED])}{more})"
+            same = "settings and weights must come from the same model"
+            raise WeightsError(f"{place}: {len(names)} tensors are {held}: {same}")
     fitting = {}
     for name in shapes:
         tensor = tensors[name].contiguous()

@@ -79,9 +79,7 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
             if str(text).strip().lower() not in _SILENCES:
                 words.append(Word(begin, stop, str(text).strip()))
     except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise FeatureError(
-            f"{path}: not a list of words with times: {error}: write it again, in UTF-8"
-        ) from error
+        raise FeatureError(f"{path}: not a list of words with times: {error}") from error
     return tuple(sorted(words))
 
 
@@ -289,10 +287,8 @@ def words_of(wave: Wave) -> list[Word]:
     if file is None and wave.source is not None:
         file = words_beside(wave.source)
     if file is None and not wave.is_silent:
-        raise FeatureError(
-            f"{wave.source or 'the sound'}: no word list beside it: words need "
-            f"{', '.join(f'STEM{suffix}' for suffix in SUFFIXES)}"
-        )
+        lists = ", ".join(f"STEM{suffix}" for suffix in SUFFIXES)
+        raise FeatureError(f"{wave.source or 'the sound'}: no word list beside it: {lists}")
     words = () if file is None else load_words(Path(file))
     return [Word(word.start - wave.offset, word.end - wave.offset, word.text) for word in words]
 

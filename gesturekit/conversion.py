@@ -65,10 +65,7 @@ def find_tasks(sources: Sequence[Path], out: Path, formats: Sequence[str] = ()) 
     if is_file_name(out, sources, formats):
         kind = out.suffix.lower()[1:]
         if formats and list(formats) != [kind]:
-            raise ConfigError(
-                f"{out} is written as {kind}, not {', '.join(formats)}; "
-                "give a folder to write several formats"
-            )
+            raise ConfigError(f"{out} is a {kind}, not {', '.join(formats)}; give a folder")
         tasks = every = [Task(out.stem, sources[0])]
         targets = [(out, tasks[0])]
     else:
@@ -106,17 +103,13 @@ def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> 
         what = "a folder" if len(sources) == 1 else f"{len(sources)} inputs"
         raise ConfigError(f"{out} is a file name, but {what} cannot become one file; name a folder")
     if out.exists():
-        raise ConfigError(
-            f"{out} is a file; give a folder to fill, or a name ending in one of {_KNOWN}"
-        )
+        raise ConfigError(f"{out} is a file; give a folder to fill, or a name ending in {_KNOWN}")
     return False
 
 
 def _into_folder(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> list[Task]:
     if not formats:
-        raise ConfigError(
-            f"{out} is a folder: say what to write into it, such as --format npz (of {_KNOWN})"
-        )
+        raise ConfigError(f"{out} is a folder: give what to write into it: --format npz ({_KNOWN})")
     tasks: dict[tuple[str, str], Task] = {}
     for source in sources:
         for path, key in _keyed(source, out):
@@ -179,10 +172,8 @@ def _refuse_clashes(targets: Sequence[tuple[Path, Task]], sources: set[str]) -> 
         if where in sources:
             raise ConfigError(f"{target} is one of the inputs; give another name or folder")
         if where in taken:
-            raise ConfigError(
-                f"{taken[where].source} and {task.source} would both be written as {target}; "
-                "convert them into different folders"
-            )
+            both = f"{taken[where].source} and {task.source} would both be written as {target}"
+            raise ConfigError(f"{both}; convert them into different folders")
         taken[where] = task
 
 
@@ -225,10 +216,8 @@ class Changes:
             # Some clips of a folder may be shorter than the range.
             start, end = self.trim
             if start >= motion.duration:
-                raise MotionError(
-                    f"trim leaves nothing: it begins at {start:g} s, the motion lasts "
-                    f"{motion.duration:g} s"
-                )
+                lasts = f"it begins at {start:g} s, the motion lasts {motion.duration:g} s"
+                raise MotionError(f"trim leaves nothing: {lasts}")
             motion = motion.trim(start, min(end, motion.duration))
             done.append(f"cut to {motion.duration:.2f} s")
         if self.mirror:
@@ -245,11 +234,8 @@ class Changes:
             if motion is not before:
                 done.append(f"{motion.skeleton.n_joints} of {before.skeleton.n_joints} joints")
             if moving := motion.joint_translations.keys() - before.joint_translations.keys():
-                warnings.warn(
-                    f"{', '.join(sorted(moving))}: a parent joint that rotates was removed, so "
-                    "these joints get position channels, which some programs ignore",
-                    stacklevel=2,
-                )
+                text = "for want of a parent, they get positions, which some programs ignore"
+                warnings.warn(f"{', '.join(sorted(moving))}: {text}", stacklevel=2)
         if self.fps is not None and self.fps != motion.fps:
             done.append(f"{motion.fps:.6g} to {self.fps:.6g} fps")
             motion = motion.resample(self.fps, antialias=self.antialias)
@@ -418,7 +404,7 @@ class Conversion:
         paths = [task.file for task in tasks if task.error is None]
         formats = [self._out.suffix.lower()[1:]] if self._is_one else self.formats
         formats = formats if paths else ()
-        refuse_unused_options(self.read, self.write, self.body_model, paths, formats)
+        refuse_unused_options(self.read, paths, self.write, formats, self.body_model)
         return tasks
 
 

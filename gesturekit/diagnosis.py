@@ -126,18 +126,19 @@ def _libraries() -> Finding:
 
 
 def _torchaudio() -> Finding:
-    from audio_features.acoustic.torchaudio_backend import import_torchaudio
-
-    module, problem = import_torchaudio()
-    if module is not None:
-        return Finding("torchaudio", "ok", f"{module.__version__}, usable as a backend")
-    if problem == "not installed":
+    if util.find_spec("torchaudio") is None:
         return Finding("torchaudio", "ok", "not installed, and not needed")
+    version = metadata.version("torchaudio")
+    try:
+        __import__("torchaudio")
+        return Finding("torchaudio", "ok", f"{version}, not needed")
+    except (ImportError, OSError) as error:
+        text = f"{version} does not import, built for another torch: {_line(error)}"
     advice = (
         "nothing of gesturekit needs it, but transformers fails while it is there: "
         "pip uninstall torchaudio, or install the build that matches torch"
     )
-    return Finding("torchaudio", "note", problem or "", advice)
+    return Finding("torchaudio", "note", text, advice)
 
 
 def _transformers() -> Finding:

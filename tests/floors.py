@@ -16,8 +16,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-LEFT_OUT = {"docs", "ray", "torchaudio"}
-"""Extras that are not installed: a site, a cluster, and a build that must match torch's."""
+LEFT_OUT = {"docs", "ray"}
+"""Extras that are not installed: a site, and a cluster."""
 TESTS = ["tests/test_first_steps.py", "tests/motion", "tests/formats/test_bvh.py"]
 TESTS += [f"tests/audio_features/test_{name}.py" for name in ("acoustic", "wavlm", "huggingface")]
 TESTS += [f"tests/evaluation/test_{name}.py" for name in ("frechet", "physical", "plots")]

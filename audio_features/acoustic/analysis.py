@@ -9,7 +9,7 @@ from __future__ import annotations
 import getpass
 import importlib
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
@@ -19,7 +19,6 @@ from types import ModuleType
 import numpy as np
 from filelock import FileLock
 
-from audio_features.errors import FeatureError
 from audio_features.wave import SPEECH_LEVEL_DBFS, Wave
 
 SAMPLE_RATE = 16_000
@@ -74,28 +73,20 @@ _LONGEST_PERIOD = int(np.ceil(SAMPLE_RATE / F0_RANGE[0]))
 _SHORTEST_PERIOD = int(SAMPLE_RATE // F0_RANGE[1])
 _DIP = 0.1  # a period is accepted where d' falls below this; librosa's value
 _CORE = _FRAME - _LONGEST_PERIOD - 1
-# pyin searches its best path in segments of a minute that overlap by 4 s. A single search over an
-# hour of sound would take gigabytes.
-_PATH_FRAMES, _PATH_CONTEXT = 6000, 200
 
 
-def track_pitch(
-    samples: np.ndarray, n_frames: int, tracker: str = "yin"
-) -> tuple[np.ndarray, np.ndarray]:
+def track_pitch(samples: np.ndarray, n_frames: int) -> tuple[np.ndarray, np.ndarray]:
     """Track the fundamental frequency and each frame's periodicity at that frequency.
 
     Args:
         samples: (N,) float32 at 16 kHz.
         n_frames: number of frames T; frame k is centred at k·0.01 s.
-        tracker: one of `TRACKERS`.
 
     Returns f0 (T,) Hz, always positive (YIN gives a period for noise too), and periodicity (T,)
     in 0..1: the correlation coefficient of the frame with itself one period later (Boersma
-    1993). It is 0 where the tracker itself marks the frame as unvoiced.
+    1993).
     """
-    f0 = TRACKERS[tracker](samples, n_frames)
-    unvoiced = ~(f0 > 0)
-    f0 = np.where(unvoiced, F0_RANGE[0], f0)
+    f0 = _yin(samples, n_frames)
     periodicity = np.empty(n_frames)
     for first, frames in centred_frames(samples, _FRAME, n_frames):
         here = slice(first, first + len(frames))
@@ -106,22 +97,7 @@ def track_pitch(
         energy = np.einsum("tn,tn->t", now, now) * np.einsum("tn,tn->t", later, later)
         product = np.einsum("tn,tn->t", now, later)
         periodicity[here] = product / np.sqrt(np.maximum(energy, 1e-12))
-    periodicity[unvoiced] = 0.0
     return f0, np.clip(periodicity, 0.0, 1.0)
-
-
-def check_tracker(tracker: str) -> None:
-    """Raise FeatureError for an unknown tracker, or one whose package cannot be imported."""
-    if tracker not in TRACKERS:
-        raise FeatureError(f"f0={tracker!r}: one of {', '.join(TRACKERS)}")
-    try:
-        if tracker in _PACKAGES:
-            importlib.import_module(tracker)
-    except ImportError as error:
-        raise FeatureError(
-            f"f0={tracker!r} needs the package {tracker} ({error}): pip install "
-            f"{_PACKAGES[tracker]}, or use f0='yin', which needs no package"
-        ) from error
 
 
 def _yin(samples: np.ndarray, n_frames: int) -> np.ndarray:
@@ -165,69 +141,6 @@ def _normalised_difference(frames: np.ndarray) -> np.ndarray:
     wanted = np.s_[:, _SHORTEST_PERIOD - 1 :]
     return difference[wanted] / (mean[wanted] + np.finfo(mean.dtype).tiny)
 
-
-def _pyin(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Track f0 (T,) by probabilistic YIN (Mauch and Dixon 2014), about 15 times real time."""
-    librosa = import_librosa()
-    f0 = np.empty(n_frames)
-    for first in range(0, n_frames, _PATH_FRAMES):
-        last = min(first + _PATH_FRAMES, n_frames)
-        start = max(0, first - _PATH_CONTEXT)
-        found = librosa.pyin(
-            samples[start * HOP : (last + _PATH_CONTEXT) * HOP],
-            fmin=F0_RANGE[0],
-            fmax=F0_RANGE[1],
-            sr=SAMPLE_RATE,
-            frame_length=_FRAME,
-            hop_length=HOP,
-            fill_na=0.0,
-        )[0]
-        f0[first:last] = found[first - start : last - start]
-    return f0
-
-
-def _praat(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Track f0 (T,) by Praat's autocorrelation method (Boersma 1993)."""
-    import parselmouth
-
-    sound = parselmouth.Sound(samples.astype(np.float64), SAMPLE_RATE)
-    if sound.duration < 3.0 / F0_RANGE[0]:  # the minimum that Praat accepts
-        return np.zeros(n_frames)
-    pitch = sound.to_pitch_ac(
-        time_step=HOP / SAMPLE_RATE, pitch_floor=F0_RANGE[0], pitch_ceiling=F0_RANGE[1]
-    )
-    found = pitch.selected_array["frequency"]
-    nearest = np.rint((np.arange(n_frames) * HOP / SAMPLE_RATE - pitch.x1) / pitch.dx).astype(int)
-    inside = (nearest >= 0) & (nearest < len(found))
-    return np.where(inside, found[np.clip(nearest, 0, len(found) - 1)], 0.0)
-
-
-def _world(samples: np.ndarray, n_frames: int) -> np.ndarray:
-    """Track f0 (T,) by WORLD's DIO with StoneMask (Morise 2009, 2016)."""
-    import pyworld
-
-    signal = samples.astype(np.float64)
-    f0, times = pyworld.dio(
-        signal,
-        SAMPLE_RATE,
-        f0_floor=F0_RANGE[0],
-        f0_ceil=F0_RANGE[1],
-        frame_period=1000 * HOP / SAMPLE_RATE,
-    )
-    f0 = pyworld.stonemask(signal, f0, times, SAMPLE_RATE)[:n_frames]
-    return np.pad(f0, (0, n_frames - len(f0)))
-
-
-TRACKERS: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
-    "yin": _yin,
-    "pyin": _pyin,
-    "parselmouth": _praat,
-    "pyworld": _world,
-}
-"""Functions by name: samples (N,) at 16 kHz and T -> f0 (T,) in Hz, 0 where unvoiced."""
-
-_PACKAGES = {"parselmouth": "praat-parselmouth", "pyworld": "pyworld 'setuptools<81'"}
-"""Trackers that import a package of the same name, and what installs it."""
 
 FLOOR_DB = -60.0
 """Added to every power before the logarithm, relative to the active speech level."""
@@ -304,16 +217,13 @@ class ShortTimeSpectrum:
         self.n_frames = wave.n_frames(FRAME_RATE)
         self.times = np.arange(self.n_frames) / FRAME_RATE
         self._log_mels: dict[int, np.ndarray] = {}
-        self._melodies: dict[str, Melody] = {}
 
-    def melody(self, tracker: str = "yin") -> Melody:
-        """Return pitch, voicing and energy, computed once for each tracker."""
-        if tracker not in self._melodies:
-            rms = self.wave.rms(self.times, window=0.05)
-            energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
-            f0, voicing = track_pitch(self.wave.samples, self.n_frames, tracker)
-            self._melodies[tracker] = audible_melody(f0, voicing, energy)
-        return self._melodies[tracker]
+    @cached_property
+    def melody(self) -> Melody:
+        """Pitch, voicing and energy."""
+        rms = self.wave.rms(self.times, window=0.05)
+        energy = to_db(np.square(rms) / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
+        return audible_melody(*track_pitch(self.wave.samples, self.n_frames), energy)
 
     @cached_property
     def power(self) -> np.ndarray:

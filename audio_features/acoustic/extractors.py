@@ -17,7 +17,6 @@ from audio_features.acoustic.analysis import (
     SAMPLE_RATE,
     ShortTimeSpectrum,
     centred_frames,
-    check_tracker,
     import_librosa,
 )
 from audio_features.errors import FeatureError
@@ -39,7 +38,7 @@ class AcousticExtractor(ABC):
         names: names of the D columns.
         centred: D flags; true for columns whose mean over a clip depends only on voice and
             recording conditions, so that it may be subtracted.
-        worth_caching: true if extraction is much slower than reading the result from a cache.
+        worth_caching: false; extraction is about as fast as reading the result from a cache.
         device: device on which torchaudio computes the spectrum; None for numpy and soxr.
     """
 
@@ -118,8 +117,7 @@ class MFCC(AcousticExtractor):
 
     Args:
         n: number of coefficients.
-        backend: see `LogMel`.
-        device: see `LogMel`.
+        backend, device: see `LogMel`.
 
     Examples:
         A second of sound has 100 frames:
@@ -152,11 +150,7 @@ class Prosody(AcousticExtractor):
     - `onset`: spectral flux, the mean rise of 40 log-mel bands over 20 ms in dB.
 
     Args:
-        f0: pitch tracker. "yin" is the default and needs no extra package; "pyin" is more
-            stable but about thirty times slower; "parselmouth" (Praat) and "pyworld" need their
-            packages.
-
-    Raises FeatureError if the tracker is unknown or its package is not installed.
+        f0: pitch tracker; "yin".
 
     Examples:
         A tone rises by an octave, 12 semitones, and keeps its energy:
@@ -175,13 +169,12 @@ class Prosody(AcousticExtractor):
     centred = (True,) * 4
 
     def __init__(self, f0: str = "yin") -> None:
-        check_tracker(f0)
-        self.f0 = f0
+        if f0 != "yin":
+            raise FeatureError(f"f0={f0!r}: only 'yin' is known")
         self.spec = {"kind": "prosody", "f0": f0}
-        self.worth_caching = f0 == "pyin"
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        melody = spectrum.melody(self.f0)
+        melody = spectrum.melody
         columns = [melody.semitones, melody.voicing, melody.energy, spectrum.onset]
         return np.stack(columns, axis=1)
 
@@ -267,7 +260,7 @@ class ProsodicRange(AcousticExtractor):
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         from scipy.ndimage import gaussian_filter1d
 
-        melody = spectrum.melody()
+        melody = spectrum.melody
         sigma = self.seconds * FRAME_RATE
         # The small constant keeps the range low where only a few frames are voiced.
         weight = gaussian_filter1d(melody.voiced.astype(float), sigma, mode="constant") + 0.02
@@ -280,10 +273,10 @@ class ProsodicRange(AcousticExtractor):
         return np.stack(columns, axis=1)
 
 
-def _device(name: str, device: str) -> str | None:
-    if name not in BACKENDS:
-        raise FeatureError(f"backend={name!r}: one of {', '.join(BACKENDS)}")
-    if name == "numpy":
+def _device(backend: str, device: str) -> str | None:
+    if backend not in BACKENDS:
+        raise FeatureError(f"backend={backend!r}: one of {', '.join(BACKENDS)}")
+    if backend == "numpy":
         return None
     from audio_features.acoustic.torchaudio_backend import check_device
 
@@ -348,7 +341,7 @@ class Effort(AcousticExtractor):
         self.spec = {"kind": "effort", "seconds": self.seconds}
 
     def _values(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
-        melody = spectrum.melody()
+        melody = spectrum.melody
         pitch = 12.0 * np.log2(melody.f0 / F0_RANGE[0])
         hertz = np.fft.rfftfreq(N_FFT, 0.5 / 8000.0)
         bands = [(hertz >= low) & (hertz < high) for low, high in (_LOW_BAND, _HIGH_BAND)]
@@ -435,7 +428,7 @@ class Music(AcousticExtractor):
 
     def _chroma(self, spectrum: ShortTimeSpectrum) -> np.ndarray:
         if self.n_chroma == 1:
-            return spectrum.melody().energy[:, None]
+            return spectrum.melody.energy[:, None]
         from scipy.fft import rfft
 
         window = np.hanning(_CHROMA_WINDOW + 1)[:-1].astype(np.float32)

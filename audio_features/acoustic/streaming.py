@@ -54,11 +54,9 @@ def check_streams(extractor: Any) -> None:
     """Raise FeatureError for an extractor, or a stack, that does not work on a stream of sound."""
     for part in getattr(extractor, "parts", (extractor,)):
         kind = part.spec["kind"]
-        if kind not in _KINDS or part.spec.get("f0", "yin") != "yin":
-            raise FeatureError(
-                f"{kind}: these features need the whole sound; {', '.join(_KINDS)} work on a "
-                "stream (pitch by yin)"
-            )
+        if kind not in _KINDS:
+            ways = f"{', '.join(_KINDS)} work on a stream"
+            raise FeatureError(f"{kind}: these features need the whole sound; {ways}")
 
 
 class _StreamedSpectrum(ShortTimeSpectrum):
@@ -67,7 +65,7 @@ class _StreamedSpectrum(ShortTimeSpectrum):
     def __init__(self, times: np.ndarray, power: np.ndarray, melody: Melody) -> None:
         self.n_frames, self.times, self.power = len(times), times, power
         self._log_mels: dict[int, np.ndarray] = {}
-        self._melodies = {"yin": melody}
+        self.melody = melody
 
 
 class SpectrumStream:
@@ -94,9 +92,7 @@ class SpectrumStream:
         self._up, self._down = SAMPLE_RATE // common, rate // common
         self._step = math.lcm(HOP, self._up)
         if self._step > _LONGEST_STEP:
-            raise FeatureError(
-                f"sample_rate={rate}: a stream needs a usual rate, such as 16000, 44100 or 48000 Hz"
-            )
+            raise FeatureError(f"sample_rate={rate}: a stream needs a usual rate, such as 48000 Hz")
         ahead = math.ceil(_FILTER * max(1, self._down / self._up)) + 1
         self._ahead = ahead if rate != SAMPLE_RATE else 0
         self._behind = self._down * math.ceil(self._ahead / self._down)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from audio_features.errors import AudioError, FeatureError
+from audio_features.errors import FeatureError
 from audio_features.huggingface.weights import front_norm, read_encoder
 from audio_features.speech_encoders import (
     SAMPLE_RATE,
@@ -24,10 +24,7 @@ from audio_features.speech_encoders import (
     LayerChoice,
     Options,
     checked_device,
-    normalized,
 )
-from audio_features.track import FeatureTrack
-from audio_features.wave import Wave
 from audio_features.weight_files import check_fingerprint
 
 if TYPE_CHECKING:
@@ -72,10 +69,6 @@ class HuggingFace(HiddenStateExtractor):
             context: part of a chunk that is context on either side, in seconds (5). Where the
                 encoder takes less than a chunk, at most a quarter of what it takes.
 
-    Attributes:
-        weights: description of the encoder; `weights.describe()` summarises it in one line.
-        normalize: number added to the waveform's variance; None if it is not normalised.
-
     Raises WeightsError if the folder cannot be used, FeatureError for an invalid setting.
 
     Examples:
@@ -104,13 +97,11 @@ class HuggingFace(HiddenStateExtractor):
         front_end = _FRONT_ENDS.get(self.weights.model, Convolutions)
         self._takes_waveform = front_end is Convolutions
         if not self._takes_waveform and self._options.normalize is not None:
-            raise FeatureError(
-                f"normalize={self._options.normalize!r}: {self.weights.model} takes no waveform: "
-                "leave it out"
-            )
+            raise FeatureError(f"normalize: {self.weights.model} takes no waveform: leave it out")
         self.normalize = self._options.eps(self.weights.normalize)
         self._choice = LayerChoice(layer, None, self.weights.layers)
         self._front = front_end(config, network.to(self._device))
+        self.first, self.hop = self._front.first, self._front.hop
         self._layers = Layers(network, max(self._choice.indices))
 
     @property
@@ -120,20 +111,6 @@ class HuggingFace(HiddenStateExtractor):
         if self._takes_waveform:
             spec["normalize"] = False if self.normalize is None else self.normalize
         return {**spec, **self._options.seconds, "fingerprint": self.fingerprint}
-
-    def extract(self, wave: Wave) -> FeatureTrack:
-        """Extract the hidden states of a sound at any sample rate: values (T, D).
-
-        Raises AudioError for a sound shorter than one frame.
-        """
-        values = self.hidden_states(normalized(wave.resample(SAMPLE_RATE).samples, self.normalize))
-        if len(values) == 0:
-            raise AudioError(
-                f"{wave.source or 'the sound'}: {wave.duration:.4f} s is shorter than one frame of "
-                f"{self.weights.model}: give a longer sound"
-            )
-        times = (self._front.first + self._front.hop * np.arange(len(values))) / SAMPLE_RATE
-        return FeatureTrack(values, times, self.spec, self.names)
 
     def hidden_states(self, samples: np.ndarray) -> np.ndarray:
         """Compute (T, D) float32 from (N,) samples at 16 kHz, without normalising them."""
@@ -320,9 +297,6 @@ class Layers:
         network: a network of `read_encoder`.
         top: highest hidden state that is needed.
     """
-
-    reach = (0, 0)
-    """Frames beside a window that must be given with it."""
 
     def __init__(self, network: Any, top: int) -> None:
         self._whisper = hasattr(network, "conv1")

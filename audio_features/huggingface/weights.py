@@ -163,18 +163,15 @@ def read_configuration(folder: Path, families: Mapping[str, Family], what: str) 
     """
     if not folder.is_dir():
         problem = "not a folder" if folder.exists() else "no such folder"
-        raise WeightsError(
-            f"{folder}: {problem}: give a local Hugging Face folder with config.json and "
-            "model.safetensors"
-        )
+        wanted = "a local Hugging Face folder with config.json and model.safetensors"
+        raise WeightsError(f"{folder}: {problem}: give {wanted}")
     _refuse_code(folder, families)
     settings = read_json(folder / "config.json")
     model_type = settings.get("model_type")
     if not isinstance(model_type, str) or model_type not in families:
-        raise WeightsError(
-            f"{folder / 'config.json'}: model_type is {model_type!r}, expected one of "
-            f"{', '.join(families)}: give the folder of a {what} encoder"
-        )
+        known = f"{', '.join(families)}: give the folder of a {what} encoder"
+        file = folder / "config.json"
+        raise WeightsError(f"{file}: model_type is {model_type!r}, expected one of {known}")
     return model_type, _configuration(folder / "config.json", families[model_type], settings)
 
 
@@ -184,22 +181,19 @@ def _refuse_code(folder: Path, families: Mapping[str, Family]) -> None:
         if (folder / name).is_file() and "auto_map" in read_json(folder / name):
             code.append(f"auto_map in {name}")
     if code:
-        raise WeightsError(
-            f"{folder}: the model brings code of its own ({', '.join(code[:_MOST_LISTED])}), which "
-            "is never run (trust_remote_code): give an encoder that transformers has itself: "
-            f"{', '.join(families)}"
-        )
+        held = f"code of its own ({', '.join(code[:_MOST_LISTED])}), which is never run"
+        known = f"give an encoder that transformers has itself: {', '.join(families)}"
+        raise WeightsError(f"{folder}: the model brings {held} (trust_remote_code): {known}")
 
 
 def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> Any:
     """Return transformers' configuration object, checked for absurd sizes."""
     for name, value in settings.items():
         numbers = value if isinstance(value, list) else [value]
-        sized = name not in ("vocab_size",) and not name.endswith("_token_id")
-        if sized and any(isinstance(n, int | float) and abs(n) > _LARGEST for n in numbers):
-            raise WeightsError(f"{path}: {name} is {value!r}: not an encoder's size")
-        if name.endswith("layers") and isinstance(value, int) and value > _MOST_LAYERS:
-            raise WeightsError(f"{path}: {name} is {value}, at most {_MOST_LAYERS} are read")
+        most = _MOST_LAYERS if name.endswith("layers") else _LARGEST
+        sized = name != "vocab_size" and not name.endswith("_token_id")
+        if sized and any(isinstance(n, int | float) and abs(n) > most for n in numbers):
+            raise WeightsError(f"{path}: {name} is {value!r}: not an encoder's size, up to {most}")
     with transformers_needed():
         from transformers import CONFIG_MAPPING
     try:

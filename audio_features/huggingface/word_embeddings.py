@@ -145,13 +145,9 @@ def _tokeniser(folder: Path, vocabulary: int) -> tuple[Any, str]:
         known = [sorted(tokeniser.get_vocab().items()), tokeniser(_PROBE)["input_ids"]]
     except Exception as error:  # transformers and tokenizers raise several classes
         reason = " ".join(str(error).split())[:200]
-        raise WeightsError(
-            f"{folder}: the tokeniser cannot be read ({reason}): download tokenizer.json and "
-            "tokenizer_config.json (or the vocabulary) with the weights"
-        ) from error
+        files = "tokenizer.json and tokenizer_config.json"
+        raise WeightsError(f"{folder}: no tokeniser ({reason}): download {files}") from error
     if not 0 <= largest < vocabulary:
-        raise WeightsError(
-            f"{folder}: the tokeniser's vocabulary reaches token {largest}, the encoder has "
-            f"{vocabulary}: tokeniser and weights must come from the same model"
-        )
+        sizes = f"token {largest}, the encoder has {vocabulary}"
+        raise WeightsError(f"{folder}: the tokeniser, of another model, reaches {sizes}")
     return tokeniser, hashlib.sha256(json.dumps(known).encode()).hexdigest()

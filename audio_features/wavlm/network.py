@@ -7,7 +7,7 @@ encoder computes the hidden states.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import torch
 from torch.nn import functional as F
@@ -84,14 +84,6 @@ class FrontEnd:
         # The convolution's own bias cancels with the mean.
         return (exact * scale).float(), (shift - scale * (mean @ exact)).float()
 
-    def windows(self, samples: torch.Tensor) -> tuple[int, Callable[[int, int], torch.Tensor]]:
-        """Return the number of frames of a sound, and a function of its windows.
-
-        See `SoundFrames.window`. The samples (N,) are float32 at 16 kHz, normalised as the network
-        expects.
-        """
-        return (len(samples) - WINDOW) // HOP + 1, SoundFrames(self, samples).window
-
     def frames(
         self,
         samples: torch.Tensor,
@@ -135,7 +127,7 @@ class SoundFrames:
 
     Args:
         front: the front end.
-        samples: (N,) float32 at 16 kHz.
+        samples: (N,) float32 at 16 kHz, normalised as the network expects.
     """
 
     def __init__(self, front: FrontEnd, samples: torch.Tensor) -> None:

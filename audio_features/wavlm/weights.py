@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from audio_features.errors import WeightsError
+from audio_features.errors import WeightsError, check_values
 from audio_features.weight_files import (
     EncoderWeights,
     add_tensors,
@@ -41,6 +41,7 @@ MICROSOFT_EPS = 1e-5
 """Constant that Microsoft's and torchaudio's code add to the waveform's variance."""
 
 _MOST_LAYERS = 256  # ten times those of Large
+_LAYOUTS = "a Hugging Face folder, Microsoft's WavLM-*.pt with its cfg, or torchaudio's state dict"
 
 
 @dataclass(frozen=True)
@@ -145,10 +146,7 @@ class Architecture:
         def shape(name: str, axes: int) -> tuple[int, ...]:
             sizes = tuple(tensors[name].shape) if name in tensors else ()
             if len(sizes) != axes or not all(sizes):
-                raise WeightsError(
-                    f"{where}: tensor {name} has shape {sizes}, expected {axes} axes: "
-                    "the network's size cannot be determined"
-                )
+                raise WeightsError(f"{where}: tensor {name} is {sizes}, expected {axes} axes")
             return sizes
 
         first, convolution = "encoder.layers.0.", "feature_extractor.conv_layers."
@@ -177,7 +175,7 @@ class Architecture:
 
     def _check(self, where: str) -> None:
         is_distance = isinstance(self.max_distance, int) and self.max_distance > self.buckets // 4
-        for name, is_right, expected in (
+        checks = (
             ("layers", self.layers <= _MOST_LAYERS, f"at most {_MOST_LAYERS}"),
             ("heads", self.width % self.heads == 0, f"a divisor of {self.width}"),
             ("position_groups", self.width % self.position_groups == 0, "a divisor of the width"),
@@ -186,9 +184,9 @@ class Architecture:
             ("front_norm", self.front_norm in ("group", "layer"), "'group' or 'layer'"),
             ("pre_norm", isinstance(self.pre_norm, bool), "true or false"),
             ("eps", isinstance(self.eps, float) and 0 < self.eps < 1, "a number from 0 to 1"),
-        ):
-            if not is_right:
-                raise _not_wavlm(where, name, getattr(self, name), expected)
+        )
+        values = ((name, getattr(self, name), fits, expected) for name, fits, expected in checks)
+        check_values(WeightsError, f"{where}: describes no WavLM network: ", values)
 
     @property
     def size(self) -> str:
@@ -279,10 +277,7 @@ def read_weights(
         layout, shape, tensors, normalize = _read_file(path)
     else:
         what = "not a file or folder" if path.exists() else "no such folder or file"
-        raise WeightsError(
-            f"{path}: {what}: give a local WavLM: Hugging Face's folder with config.json and "
-            "model.safetensors, Microsoft's WavLM-*.pt, or a torchaudio state dict"
-        )
+        raise WeightsError(f"{path}: {what}: give a local WavLM: {_LAYOUTS}")
     tensors = fitting_tensors(path, tensors, shape.shapes())
     digest = hashlib.sha256()
     add_tensors(digest, tensors)
@@ -321,25 +316,17 @@ def _read_file(
         normalize = MICROSOFT_EPS if shape.front_norm == "layer" else None
         return "torchaudio state dict", shape, tensors, normalize
     held = ", ".join(names[:4]) or type(content).__name__
-    raise WeightsError(
-        f"{path}: no WavLM in a known layout (found: {held[:200]}): give Hugging Face's folder "
-        "with its config.json, Microsoft's WavLM-*.pt with its cfg, or a torchaudio state dict"
-    )
+    raise WeightsError(f"{path}: no WavLM in a known layout (found: {held[:200]}): give {_LAYOUTS}")
 
 
 def _config(folder: Path) -> dict[str, Any]:
     path = folder / "config.json"
     checkpoints = sorted(folder.glob("*.pt")) + sorted(folder.glob("*.pth"))
     if not path.is_file() and checkpoints:
-        raise WeightsError(
-            f"{folder}: no config.json, so no Hugging Face folder: name the file, {checkpoints[0]}"
-        )
+        raise WeightsError(f"{folder}: no config.json: name the file, {checkpoints[0]}")
     config = read_json(path)
     if config.get("model_type") != "wavlm":
-        raise WeightsError(
-            f"{path}: model_type is {config.get('model_type')!r}, expected 'wavlm': "
-            "give the folder of a WavLM model"
-        )
+        raise WeightsError(f"{path}: model_type is {config.get('model_type')!r}, expected 'wavlm'")
     return config
 
 

@@ -72,7 +72,11 @@ class VerbGroup(click.Group):
 @click.group(
     cls=VerbGroup,
     epilog="Start with: gesturekit demo",
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 100,
+        "show_default": True,
+    },
 )
 @click.version_option(package_name="gesturekit")
 def cli() -> None:
@@ -98,7 +102,7 @@ class _Visible:
 
     def write(self, text: str) -> int:
         """Write a text."""
-        escaped = self._CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+        escaped = self._CONTROL.sub(lambda sign: ascii(sign[0])[1:-1], text)
         return self._stream.write(escaped)
 
 

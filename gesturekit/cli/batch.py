@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import ARGUMENTS, resumable, workers_option
+from gesturekit.cli.options import ARGUMENTS, resumable, together, workers_option
 from gesturekit.errors import ConfigError
 from gesturekit.wording import counted
 
@@ -42,62 +42,35 @@ def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[in
     return int(match[1]), int(match[2])
 
 
-_OPTIONS = (
+batch_options = together(
     workers_option,
     click.option(
-        "--shard",
-        metavar="K/N",
-        callback=_shard,
-        help="Process part K of N, such as 1/8. Parts may be processed in any order, or in "
-        "parallel on several machines, into one output folder.",
+        "--shard", metavar="K/N", callback=_shard, help="Process part K of N, such as 1/8."
     ),
     click.option(
         "--launcher",
         type=click.Choice(["local", "slurm", "ray"]),
         default="local",
-        show_default=True,
-        help="Where to run the shards: on this machine, as Slurm jobs (submitit), or on a Ray "
-        "cluster.",
+        help="Where shards run: on this machine, as Slurm jobs (submitit), or on a Ray cluster.",
     ),
+    click.option("--jobs", type=click.IntRange(1, 10_000), help="Shards for slurm or ray."),
     click.option(
-        "--jobs", type=click.IntRange(1, 10_000), help="Number of shards for slurm or ray."
-    ),
-    click.option(
-        "--launcher-option",
-        "launcher_options",
+        *("--launcher-option", "launcher_options"),
         multiple=True,
         metavar="KEY=VALUE",
-        help="For slurm, a parameter of submitit, such as slurm_partition=cpu, timeout_min=600, "
-        "cpus_per_task=4 or cluster=local. May be repeated.",
+        help="Parameter of submitit, such as slurm_partition=cpu. May be repeated.",
     ),
-    click.option(
-        "--address", help="Address of a Ray cluster; by default one is started on this machine."
-    ),
+    click.option("--address", help="Address of a Ray cluster; by default one is started here."),
     click.option(
         "--deadline",
         type=click.FloatRange(min=0, min_open=True),
         metavar="SECONDS",
         help="Abandon an input after this time.",
     ),
-    click.option(
-        "--retry-failed",
-        is_flag=True,
-        help="Retry inputs that are skipped because they failed three times.",
-    ),
-    click.option(
-        "--dry-run",
-        is_flag=True,
-        help="Write nothing: only print what would be done, and for sounds how long it would take "
-        "and the size of the results.",
-    ),
+    click.option("--retry-failed", is_flag=True, help="Retry inputs that failed three times."),
+    click.option("--dry-run", is_flag=True, help="Write nothing; print what would be done."),
 )
-
-
-def batch_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `pop_execution`."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
+"""Options of `pop_execution`."""
 
 
 def pop_execution(ctx: click.Context, out: Path, options: dict[str, Any]) -> tuple[Execution, bool]:
@@ -194,13 +167,9 @@ def print_preview(batch: Batch) -> None:
     seconds, size = estimated_cost(batch, counts["make"], sound)
     took = time_in_words(seconds / batch.execution.workers)
     parts = ", ".join(f"{count} to {action}" for action, count in counts.items())
-    click.echo(
-        f"{parts}; {time_in_words(sound)} of sound, about {size / 1e6:.1f} MB and "
-        f"{took} with {batch.execution.workers} of --workers, besides loading: {batch.out} "
-        "(dry run: nothing was written, and only the headers of sounds were read: damage inside "
-        "them is not counted)",
-        err=True,
-    )
+    parts += f"; {time_in_words(sound)} of sound, about {size / 1e6:.1f} MB and {took}"
+    parts += f" with {batch.execution.workers} of --workers, besides loading: {batch.out}"
+    click.echo(f"{parts} (dry run: nothing was written, and only headers were read)", err=True)
 
 
 @dataclass(frozen=True)
@@ -251,9 +220,7 @@ def _run_elsewhere(ctx: click.Context, out: Path, options: dict[str, Any]) -> No
             raise click.UsageError("--jobs, --launcher-option and --address require --launcher.")
         return
     if options["shard"] is not None:
-        raise click.UsageError(
-            f"--launcher {launcher} creates the shards itself: give --jobs, not --shard."
-        )
+        raise click.UsageError(f"--launcher {launcher} makes the shards: give --jobs, not --shard.")
     if (settings and launcher != "slurm") or (address and launcher != "ray"):
         raise click.UsageError("--launcher-option is for slurm, and --address for ray.")
     if options["dry_run"]:
@@ -287,9 +254,8 @@ def _run_slurm(
         jobs = executor.map_array(command, shards)
     except (NameError, RuntimeError, ValueError, AssertionError) as error:
         raise ConfigError(f"slurm: {error}") from None
-    click.echo(
-        f"Submitted {counted(len(jobs), 'job')}; Ctrl-C stops waiting, but not the jobs.", err=True
-    )
+    submitted = f"Submitted {counted(len(jobs), 'job')}"
+    click.echo(f"{submitted}; Ctrl-C stops waiting, but not the jobs.", err=True)
     codes = []
     for shard, job in zip(shards, jobs, strict=True):
         try:

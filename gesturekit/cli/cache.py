@@ -10,11 +10,10 @@ import click
 def command(action: str) -> None:
     """Show the size of the cache (info), or delete its contents (clear).
 
-    The cache holds features that are slow to extract (WavLM, and pitch by pyin) and measurements of
-    gesturekit evaluate. Its folder is
-    $GESTUREKIT_CACHE, by default in the user's cache folder, and its size is limited to
-    $GESTUREKIT_CACHE_GB gigabytes (20); the least recently used entries are removed first.
-    What is cleared is made again when needed.
+    The cache holds features that are slow to extract (those of networks) and measurements of
+    gesturekit evaluate. Its folder is $GESTUREKIT_CACHE, by default in the user's cache folder, and
+    its size is limited to $GESTUREKIT_CACHE_GB gigabytes (20); the least recently used entries are
+    removed first. What is cleared is made again when needed.
     """
     from datetime import datetime
 

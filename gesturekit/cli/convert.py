@@ -10,9 +10,9 @@ import click
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, show_and_count
 from gesturekit.cli.options import (
+    PATH,
     RATE,
     RECORDING_OPTIONS,
-    UNITS,
     GroupedCommand,
     body_option,
     comma_separated,
@@ -22,8 +22,9 @@ from gesturekit.cli.options import (
     part_option,
     read_from,
     reading_options,
-    rig_part_option,
+    rig_options,
     size_option,
+    unit_options,
 )
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ gesturekit convert takes/ converted/ --format npz,html
 GROUPS = {
     "Output": (
         *("formats", "rig", "rig_parts", "fps", "antialias", "trim", "mirror", "joints", "up"),
-        *("unit", "frame", "body", "framing", "size", "existing"),
+        *("unit", "body", "framing", "size", "existing"),
     ),
     "Input": (*RECORDING_OPTIONS, "animation", "parts"),
     **BATCH_GROUPS,
@@ -47,19 +48,14 @@ WIDTH = 100
 
 
 @click.command("convert", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
-@click.argument(
-    "sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IN..."
-)
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("sources", nargs=-1, required=True, type=PATH, metavar="IN...")
+@click.argument("out", type=PATH)
 @click.option(
-    "--format",
-    "formats",
+    *("--format", "formats"),
     metavar="LIST",
-    help="Formats to write into a folder: any of bvh,npz,glb,vrma,fbx,html,mp4,png,svg,pdf,obj.",
+    help="Formats to write into a folder: bvh,npz,glb,vrma,fbx,html,mp4,png,svg,pdf,obj.",
 )
-@click.option(
-    "--rig", metavar="RIG", help="Skeleton to retarget to: a motion file, smpl, smplh or smplx."
-)
+@rig_options
 @click.option("--fps", type=RATE, metavar="RATE", help="Resample to this frame rate.")
 @click.option(
     "--antialias", is_flag=True, help="Low-pass filter before --fps reduces the frame rate."
@@ -69,18 +65,9 @@ WIDTH = 100
 )
 @click.option("--mirror", is_flag=True, help="Swap left and right.")
 @click.option(
-    "--joints",
-    default="all",
-    metavar="LIST",
-    help="Keep only these joints; body means all but fingers, face and end joints.",
+    "--joints", default="all", metavar="LIST", help="Joints to keep; body leaves out fingers, face."
 )
-@click.option(
-    "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
-)
-@click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]")
-@click.option(
-    "--frame", type=int, metavar="N", help="Frame to write as obj; -1 is the last.  [default: 0]"
-)
+@unit_options
 @body_option
 @framing_option
 @size_option
@@ -88,7 +75,6 @@ WIDTH = 100
 @existing_option("refuse")
 @reading_options
 @part_option
-@rig_part_option
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -111,7 +97,7 @@ def command(
 
     execution, dry_run = pop_execution(ctx, out, options)
     changes, parts = _changes(options), parse_parts(options.pop("parts"))
-    names = ("up", "unit", "frame", "body", "framing", "size")
+    names = ("up", "unit", "body", "framing", "size")
     write = given(**{name: options.pop(name) for name in names})
     conversion = Conversion(
         sources,

@@ -6,19 +6,17 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import SEED, existing_option, is_left, resumable
+from gesturekit.cli.options import existing_option, is_left, resumable, seed_option
 
 
 @click.command("demo", epilog="Example: gesturekit demo --out gesturekit-demo")
 @click.option(
-    "-o",
-    "--out",
+    *("-o", "--out"),
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("gesturekit-demo"),
-    show_default=True,
     help="Output folder.",
 )
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
+@seed_option
 @existing_option("refuse")
 @click.pass_context
 def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:

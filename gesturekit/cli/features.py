@@ -11,8 +11,11 @@ from audio_features.kinds import KINDS
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
 from gesturekit.cli.options import (
+    PATH,
+    RATE,
     GroupedCommand,
     channel_option,
+    device_option,
     existing_option,
     output_folder_option,
     weights_option,
@@ -29,87 +32,56 @@ gesturekit features speech/ --out features --workers 4    # all sounds below it
 """
 GROUPS = {
     "What to extract": ("extractor", "rate", "fps", "align", "channel"),
-    "Output": ("out", "picture", "existing", "skip_existing"),
+    "Output": ("out", "picture", "existing"),
     **BATCH_GROUPS,
-    "Networks": (*("weights", "layer", "preset", "dtype", "full_context", "device"),),
+    "Networks": (*("weights", "layer", "dtype", "full_context", "device"),),
 }
 
 _APPLY_TO = {
     "weights": ("wavlm", "hf", "files"),
     "rate": ("files",),
     **dict.fromkeys(("layer", "full_context"), ("wavlm", "hf")),
-    **dict.fromkeys(("preset", "dtype"), ("wavlm",)),
+    "dtype": ("wavlm",),
 }
 """Extractors that each option applies to, of options that are not for all."""
 
 
 @click.command("features", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
-@click.argument("wavs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="WAV...")
+@click.argument("wavs", nargs=-1, required=True, type=PATH, metavar="WAV...")
 @click.option(
     "--extractor",
     default="logmel,prosody",
-    show_default=True,
     metavar="LIST",
-    help=f"One or more of {', '.join(KINDS)}, separated by commas and concatenated. A size, "
-    "method or folder may follow a colon: logmel:64, mfcc:16, prosody:pyin, music:1, "
-    "hf:hubert-base/, words:bert-base/; for files, the number of columns: files:64. Or the kind of "
-    "an installed extractor.",
+    help=f"One or more of {', '.join(KINDS)}, or installed ones, which are concatenated. A size "
+    "or folder may follow: mfcc:16, music:1, hf:hubert-base/, files:64.",
 )
-@click.option(
-    "--rate",
-    type=float,
-    help="Rows per second of the npy files of own features (files); without it they are npz files.",
-)
+@click.option("--rate", type=float, help="Rows per second of npy files of own features (files).")
 @output_folder_option
-@click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True, max=1000),
-    help="Resample the features to motion frames at this rate.  [default: the features' own rate]",
-)
+@click.option("--fps", type=RATE, help="Resample to motion frames.  [default: the features' rate]")
 @click.option(
     "--align",
-    type=click.Choice(["linear", "mean", "gaussian", "length_ratio"]),
-    help="Method of resampling: linear interpolation, mean over the motion frame, a wider "
-    "Gaussian mean, or by the ratio of the lengths, as in systems that ignore frame times.  "
-    "[default: linear]",
+    type=click.Choice(["linear", "mean", "gaussian"]),
+    help="Resampling: interpolated, mean over a motion frame, or a wider mean.  [default: linear]",
 )
 @channel_option
 @weights_option
 @click.option(
-    "--layer",
-    help="Layer of WavLM or hf: a number from 0, last, mean, several concatenated (6,9,12) or "
-    "their weighted mean (6:1,9:3).  [default: last]",
+    "--layer", help="Layer of wavlm or hf: 6, last, mean, 6,9,12 or 6:1,9:3.  [default: last]"
 )
 @click.option(
-    "--preset",
-    type=click.Choice(["dsg", "dsg+"]),
-    help="Extract WavLM features exactly as in DiffuseStyleGesture; cannot be combined with "
-    "--layer.",
-)
-@click.option(
-    "--dtype",
-    type=click.Choice(["fp32", "bf16"]),
-    help="Precision of WavLM; bf16 is faster on processors that support it, and less exact.  "
-    "[default: fp32]",
+    "--dtype", type=click.Choice(["fp32", "bf16"]), help="Precision of wavlm.  [default: fp32]"
 )
 @click.option(
     "--full-context",
     type=click.FloatRange(min=0),
     metavar="SECONDS",
-    help="Longest sound that WavLM or hf processes without splitting it.  [default: 300; 30 for "
-    "hf]",
+    help="Longest sound that is not split.  [default: 300; 30 for hf]",
 )
-@click.option("--device", default="cpu", show_default=True, help="Device of WavLM and hf.")
-@click.option(
-    "--cache",
-    type=click.Choice(["fp32", "fp16", "off"]),
-    default="fp32",
-    show_default=True,
-    help="Precision of cached features; see gesturekit cache.",
-)
+@device_option
+@click.option("--cache/--no-cache", default=True, help="Keep slow features: gesturekit cache.")
 @click.option("--picture", is_flag=True, help="Also draw the features to NAME.png.")
 @batch_options
-@existing_option("refuse", alias=True)
+@existing_option("refuse")
 @click.pass_context
 def command(
     ctx: click.Context, wavs: tuple[Path, ...], extractor: str, out: Path, **options: Any
@@ -132,12 +104,9 @@ def command(
     if options["align"] is not None and options["fps"] is None:
         raise click.UsageError("--align requires --fps")
     execution, is_dry = pop_execution(ctx, out, options)
-    cache = options.pop("cache")
-    names = ("fps", "align", "picture", "channel", "existing")
+    names = ("fps", "align", "picture", "channel", "cache", "existing")
     settings = {name: options.pop(name) for name in names}
-    extraction = FeatureExtraction(
-        _extractor(extractor, options), out, cache=None if cache == "off" else cache, **settings
-    )
+    extraction = FeatureExtraction(_extractor(extractor, options), out, **settings)
     batch = Batch(extraction, find_tasks(wavs, out), execution)
     if is_dry:
         print_preview(batch)

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gesturekit.cli.options import SEED, existing_option, is_left, output_folder_option
+from gesturekit.cli.options import (
+    FILE,
+    PATH,
+    existing_option,
+    is_left,
+    output_folder_option,
+    seed_option,
+)
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.measuring.samples import MotionSample
@@ -16,35 +23,25 @@ if TYPE_CHECKING:
 @click.command(
     "fit-features", epilog="Example: gesturekit fit-features recordings/ --out features --seed 0"
 )
-@click.argument(
-    "reference", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="REFERENCE..."
-)
+@click.argument("reference", nargs=-1, required=True, type=PATH, metavar="REFERENCE...")
 @output_folder_option
 @click.option(
     "--variant",
     type=click.Choice(["genea", "yoon"]),
     default="genea",
-    show_default=True,
-    help="genea: positions of body joints, 60 frames at 30 fps; yoon: directions of the upper "
-    "body's bones, 34 frames at 15 fps.",
+    help="genea: joint positions, 60 frames at 30 fps; yoon: upper-body bones, 34 at 15 fps.",
 )
 @click.option("--frames", type=int, help="Frames per window.  [default: the variant's]")
-@click.option(
-    "--joints",
-    metavar="LIST",
-    help="Joints to use: body, upper, or joint names.  [default: the variant's]",
-)
-@click.option(
-    "--steps", type=click.IntRange(1), default=2300, show_default=True, help="Training steps."
-)
+@click.option("--joints", metavar="LIST", help="body, upper, or names.  [default: the variant's]")
+@click.option("--steps", type=click.IntRange(1), default=2300, help="Training steps.")
 @click.option(
     "--weights",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE",
     help="Take published weights of this layout (GENEA's model_checkpoint_60.bin, Yoon's gen_dict) "
     "instead of training; --joints names the joints that they were trained on.",
 )
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
+@seed_option
 @existing_option("refuse")
 def command(
     reference: tuple[Path, ...], out: Path, joints: str | None, existing: str, **options: Any
@@ -123,7 +120,5 @@ def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, bool]:
             is_complete = False
             click.echo(f"Error: {error}", err=True)
     if not sample.count:
-        raise EvaluationError(
-            f"no motion (bvh, npz) could be read from {', '.join(map(str, paths))}"
-        )
+        raise EvaluationError(f"no motion could be read from {', '.join(map(str, paths))}")
     return sample, is_complete

@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from gesturekit.cli.options import SEED, ModelName, existing_option, weights_option, workers_option
+from gesturekit.cli.options import (
+    PATH,
+    ModelName,
+    existing_option,
+    seed_option,
+    weights_option,
+    workers_option,
+)
 
 
 @click.command(
@@ -15,31 +22,17 @@ from gesturekit.cli.options import SEED, ModelName, existing_option, weights_opt
     "--out submission\n\nExample: gesturekit genea check beat_english_v2.0.0/ --out submission"
 )
 @click.argument("action", type=click.Choice(["export", "check"]))
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @click.option("--model", help="For export: a bundled name (demo) or a model folder.")
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder of the submission.",
-)
+@click.option("-o", "--out", required=True, type=PATH, help="Folder of the submission.")
 @click.option(
     "--layout",
     type=click.Choice(["beat2", "seamless"]),
     default="beat2",
-    show_default=True,
-    help="Corpus in FOLDER, as published. Motion is written as SMPL-X for BEAT2, as SMPL-H for "
-    "Seamless.",
+    help="Corpus in FOLDER, as published; written as SMPL-X for beat2, SMPL-H for seamless.",
 )
-@click.option(
-    "--samples",
-    type=click.IntRange(min=1),
-    default=5,
-    show_default=True,
-    help="Number of motions per sound; the leaderboard asks for 5 if the model is stochastic.",
-)
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
+@click.option("--samples", type=click.IntRange(1), default=5, help="Motions for each sound.")
+@seed_option
 @weights_option
 @workers_option
 @existing_option("refuse")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import existing_option, is_left
+from gesturekit.cli.options import FILE, existing_option, is_left
 from gesturekit.wording import counted, printable
 
 if TYPE_CHECKING:
@@ -16,20 +16,12 @@ if TYPE_CHECKING:
 _MOST_REASONS = 12
 
 
-@click.command(
-    "jobs",
-    epilog="Example: gesturekit jobs rendered",
-)
+@click.command("jobs", epilog="Example: gesturekit jobs rendered")
 @click.argument("out", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--failed", is_flag=True, help="List the items that failed, with their reasons.")
 @click.option("--left", is_flag=True, help="List the items that are not done yet.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-@click.option(
-    "--page",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
-    help="Write an overview page with pictures of results, durations, speeds and failures.",
-)
+@click.option("--page", type=FILE, metavar="FILE.html", help="Write an overview with pictures.")
 @existing_option("replace", note=" (with --page)")
 def command(
     out: Path, failed: bool, left: bool, as_json: bool, page: Path | None, existing: str
@@ -77,11 +69,8 @@ def _print(status: Status, out: Path) -> None:
         whole = sum(done == count for count, done in status.shards)
         click.echo(f"shards: {whole} of {len(status.shards)} finished")
     for about in status.running:
-        click.echo(
-            printable(
-                f"running: process {about.get('pid')} on {about.get('host')}, {about['name']}"
-            )
-        )
+        where = f"process {about.get('pid')} on {about.get('host')}, {about['name']}"
+        click.echo(printable(f"running: {where}"))
     if status.in_hand and not status.running:
         names = ", ".join(status.in_hand[:5])
         click.echo(printable(f"in progress when a run was killed: {names}"))

@@ -16,15 +16,18 @@ import click
 
 from audio_features.atomic import write_text
 from gesturekit.cli.options import (
-    SEED,
+    FILE,
+    PATH,
     Body,
     GroupedCommand,
-    access_options,
     comma_separated,
+    device_option,
     existing_option,
     framing_option,
     given,
     is_left,
+    seed_option,
+    service_options,
     weights_option,
 )
 
@@ -48,90 +51,52 @@ _URGENT = 3
 
 @click.command("live", cls=GroupedCommand, groups=GROUPS, epilog=EXAMPLES)
 @click.argument("words", nargs=-1, metavar="")
+@click.option("--model", default="demo", help="A bundled name or a model folder.")
 @click.option(
-    "--model", default="demo", show_default=True, help="A bundled name or a model folder."
-)
-@click.option(
-    "--from",
-    "source",
+    *("--from", "source"),
     metavar="mic[:DEVICE]|FILE|-",
-    help="Microphone (a number or part of a name chooses one), sound file in real time, or samples "
-    "of 16 bits, little endian, mono from standard input.  [default: mic]",
+    help="Microphone (by number or name), sound file in real time, or 16-bit mono samples from "
+    "standard input.  [default: mic]",
 )
 @click.option(
-    "--to",
-    "sinks",
+    *("--to", "sinks"),
     metavar="LIST",
-    help="page (in the browser), vmc:HOST:PORT (VSeeFace, Warudo, Unity, Unreal, Blender), "
-    "record:FILE (any format that is written); comma-separated.  [default: page]",
+    help="page (browser), vmc:HOST:PORT (VSeeFace, Unity, Blender ...), record:FILE; "
+    "comma-separated.  [default: page]",
 )
 @click.option(
-    "--look-ahead",
-    type=click.FloatRange(0, 10),
-    default=0.2,
-    show_default=True,
-    help="Seconds of sound that the model knows beyond a frame; with less, motion fits worse.",
+    "--look-ahead", type=click.FloatRange(0, 10), default=0.2, help="Seconds of sound known ahead."
 )
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed.")
+@seed_option
 @click.option("--style", help="Style, for models with styles; by default one is drawn.")
 @click.option("--speaker", help="Recordings and body of this speaker of the corpus.")
-@click.option(
-    "--liveliness", type=float, help="Factor on the hand speed that is drawn.  [default: 1]"
-)
+@click.option("--liveliness", type=float, help="Factor on the drawn hand speed.  [default: 1]")
 @click.option("--fast", is_flag=True, help="As fast as possible, for a file or a pipe.")
+@click.option("--block", type=click.FloatRange(0.005, 1), default=0.04, help="Seconds of a step.")
 @click.option(
-    "--block",
-    type=click.FloatRange(0.005, 1),
-    default=0.04,
-    show_default=True,
-    help="Seconds of sound of each step.",
+    "--rate", type=click.IntRange(4_000, 192_000), default=16_000, help="Hz of standard input."
 )
-@click.option(
-    "--rate",
-    type=click.IntRange(4_000, 192_000),
-    default=16_000,
-    show_default=True,
-    help="Samples per second of standard input.",
-)
-@click.option(
-    "--host",
-    default="127.0.0.1",
-    show_default=True,
-    help="Address of the page. Addresses other than this machine require a token.",
-)
-@click.option("--port", type=click.IntRange(0, 65535), default=8010, show_default=True)
-@access_options
+@service_options(8010)
 @click.option(
     "--body",
     type=Body(),
     metavar="[mannequin|human|skeleton|FILE.vrm|FILE.glb]",
     default="human",
-    show_default=True,
     help="Body on the page.",
 )
 @framing_option
 @existing_option("refuse")
 @weights_option
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, or auto.")
+@device_option
 @click.option(
-    "--fit",
-    "corpus",
-    type=click.Path(path_type=Path),
+    *("--fit", "corpus"),
+    type=PATH,
     metavar="CORPUS.jsonl",
-    help="Add what live speech needs to the model, from the corpus of its training, and end.",
+    help="Add to the model what live speech needs, from the corpus of its training, and end.",
 )
 @click.option("--list-devices", is_flag=True, help="List microphones and end.")
-@click.option(
-    "--measure",
-    is_flag=True,
-    help="Print latency, step times and losses at the end; by default of the bundled speech.",
-)
-@click.option(
-    "--json",
-    "figures",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write what --measure prints, as JSON.",
-)
+@click.option("--measure", is_flag=True, help="Print latency, step times and losses at the end.")
+@click.option("--json", "figures", type=FILE, help="Write what --measure prints, as JSON.")
 @click.pass_context
 def command(ctx: click.Context, **options: Any) -> None:
     """Generate motion while someone speaks, and show, send or record it.
@@ -146,10 +111,8 @@ def command(ctx: click.Context, **options: Any) -> None:
     from gesturekit.systems import bundled_speech, fit_live, load
 
     if words := options.pop("words"):
-        raise click.UsageError(
-            f"{words[0]!r}: sound is given by --from, and outputs by --to: gesturekit live --from "
-            "speech.wav --to page,record:take.bvh"
-        )
+        how = "give sound by --from, and outputs by --to (--from speech.wav --to page)"
+        raise click.UsageError(f"{words[0]!r}: {how}")
     if (corpus := options.pop("corpus")) is not None:
         fit_live(options["model"], corpus)
         return

@@ -15,66 +15,79 @@ if TYPE_CHECKING:
 UNITS = ("m", "cm", "mm", "inch", "cmu")
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 
+PATH = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
 RATE = click.FloatRange(min=0, min_open=True, max=1000)
 SEED = click.IntRange(0, 2**63 - 1)
 """Seeds that every random generator takes."""
 
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
-_RECORDING = (
+
+def together(*options: Decorator) -> Decorator:
+    """Return a decorator that adds several options, in this order."""
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+recording_options = together(
     click.option("--in-unit", type=click.Choice(UNITS), help="Unit of the BVH or glTF input."),
     click.option("--in-up", type=click.Choice(AXES), help="Up axis of the input."),
     click.option("--in-forward", type=click.Choice(AXES), help="Forward axis of the input."),
-    click.option(
-        "--in-fps", type=RATE, metavar="RATE", help="Frame rate of the input; overrides its header."
-    ),
+    click.option("--in-fps", type=RATE, metavar="RATE", help="True frame rate of the input."),
     click.option(
         "--height",
-        type=click.FloatRange(min=0, min_open=True, max=1000),
+        type=RATE,
         metavar="METRES",
-        help="Scale the body to this height (sole to crown) in metres, such as 1.75.",
+        help="Scale the body to this height.",
     ),
     click.option(
         "--body-model",
-        type=click.Path(path_type=Path),
+        type=PATH,
         metavar="PATH",
-        help="SMPL, SMPL-H or SMPL-X body model, or a folder of them (SMPLX_FEMALE.npz and so on, "
-        "chosen by gender): gives SMPL files their bones and foot points, and html, glb and obj a "
-        "body mesh.",
+        help="SMPL, SMPL-H or SMPL-X body model, or a folder of them: bones, foot points, a mesh.",
     ),
     click.option("--person", type=int, metavar="ID", help="Person to read (EasyMocap)."),
 )
+"""Options that override what is detected in recordings; see `read_from`."""
 RECORDING_OPTIONS = ("in_unit", "in_up", "in_forward", "in_fps", "height", "body_model", "person")
 """Names of the parameters that `recording_options` adds."""
-_OPTIONS = (
-    *_RECORDING,
-    click.option(
-        "--animation",
-        metavar="NAME",
-        help="Animation to read (glb, gltf, vrma, fbx): name, or number.",
-    ),
+reading_options = together(
+    recording_options,
+    click.option("--animation", metavar="NAME", help="Animation to read: its name, or number."),
 )
+"""The same for motion files of any format."""
 
 channel_option = click.option(
-    "--channel",
-    type=click.IntRange(min=1),
-    help="Channel to use, counted from 1 (left), if two speakers share a file.  [default: the "
-    "mean]",
+    "--channel", type=click.IntRange(min=1), help="Channel to use, from 1.  [default: their mean]"
 )
-
 part_option = click.option(
-    "--part",
-    "parts",
+    *("--part", "parts"),
     multiple=True,
     metavar="PART=JOINT",
     help="Name a joint that is not recognised: left_elbow=Joint12. May be repeated.",
 )
-
-rig_part_option = click.option(
-    "--rig-part",
-    "rig_parts",
-    multiple=True,
-    metavar="PART=JOINT",
-    help="Name a joint of --rig that is not recognised: left_elbow=Joint12. May be repeated.",
+rig_options = together(
+    click.option(
+        "--rig", metavar="RIG", help="Skeleton to retarget to: a motion file, smpl, smplh or smplx."
+    ),
+    click.option(
+        *("--rig-part", "rig_parts"),
+        multiple=True,
+        metavar="PART=JOINT",
+        help="Name a joint of --rig that is not recognised. May be repeated.",
+    ),
+)
+unit_options = together(
+    click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]"),
+    click.option(
+        "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; AMASS has z."
+    ),
 )
 
 
@@ -87,9 +100,7 @@ def parse_weights(
         kind, mark, path = value.partition("=")
         if not mark or Path(value).exists():
             if len(values) > 1:
-                raise click.UsageError(
-                    f"--weights {value}: with several encoders, give KIND=PATH for each."
-                )
+                raise click.UsageError(f"--weights {value}: of several, give each as KIND=PATH.")
             return Path(value)
         if kind in places:
             raise click.UsageError(f"--weights: {kind} is given twice.")
@@ -102,47 +113,43 @@ weights_option = click.option(
     multiple=True,
     callback=parse_weights,
     metavar="[KIND=]PATH",
-    help="Weights of the speech or text encoder that the model was trained with, or the folder of "
-    "the files of own features. For several, give each with its kind (wavlm, hf, words or files): "
-    "--weights wavlm=PATH --weights files=FOLDER.",
+    help="Weights of the encoder, or folder of own features; of several, wavlm=PATH files=FOLDER.",
 )
 
 
-def access_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of who may use a service: `names` and `token_file`."""
-    name = click.option(
-        "--name",
-        "names",
-        multiple=True,
-        metavar="NAME",
-        help="Additional host name of the service, such as that of a proxy. May be repeated.",
+def service_options(port: int) -> Decorator:
+    """Add the address of a service, with its usual port, and who may use it."""
+    return together(
+        click.option("--host", default="127.0.0.1", help="Address; others require a token."),
+        click.option("--port", type=click.IntRange(0, 65535), default=port),
+        click.option(
+            *("--name", "names"),
+            multiple=True,
+            metavar="NAME",
+            help="Additional host name, such as that of a proxy. May be repeated.",
+        ),
+        click.option(
+            "--token-file",
+            type=click.Path(path_type=Path, dir_okay=False, exists=True),
+            help="File with the token that requests must send.  [default: $GESTUREKIT_TOKEN]",
+        ),
     )
-    token = click.option(
-        "--token-file",
-        type=click.Path(path_type=Path, dir_okay=False, exists=True),
-        help="File with the token that requests must send.  [default: $GESTUREKIT_TOKEN]",
-    )
-    return name(token(command))
 
 
+seed_option = click.option("--seed", type=SEED, default=0, help="Random seed.")
+device_option = click.option(
+    "--device", default="cpu", help="Device of diffusion and encoders: cpu, cuda, cuda:1, auto."
+)
 workers_option = click.option(
-    "--workers",
-    type=click.IntRange(1, 1024),
-    default=1,
-    show_default=True,
-    help="Number of processes; does not change the results.",
+    "--workers", type=click.IntRange(1, 1024), default=1, help="Number of processes."
 )
-
 size_option = click.option(
     "--size", type=click.Choice(["720p", "1080p"]), help="Size of mp4 videos.  [default: 720p]"
 )
-
-
 framing_option = click.option(
     "--framing",
     type=click.Choice(["whole", "waist"]),
-    help="View of videos and first view of pages: the whole body, or from the waist up.  "
-    "[default: whole]",
+    help="View of videos, and the first of pages.  [default: whole]",
 )
 
 
@@ -172,17 +179,12 @@ def _output_folder(ctx: click.Context, _: click.Parameter, out: Path) -> Path:
     if out.is_file() or (kind in WRITABLE and not out.exists()):
         named = kind in WRITABLE and any(param.name == "formats" for param in ctx.command.params)
         instead = f"{out.with_suffix('')}{f' --format {kind}' if named else ''}"
-        what = "is a file; " if out.is_file() else ""
-        raise click.UsageError(f"--out {out}: {what}results go into a folder: --out {instead}")
+        raise click.UsageError(f"--out {out}: results go into a folder: --out {instead}")
     return out
 
 
 output_folder_option = click.option(
-    *("-o", "--out"),
-    required=True,
-    type=click.Path(path_type=Path),
-    callback=_output_folder,
-    help="Output folder.",
+    *("-o", "--out"), required=True, type=PATH, callback=_output_folder, help="Output folder."
 )
 
 
@@ -203,24 +205,9 @@ body_option = click.option(
     "--body",
     type=Body(),
     metavar="[mannequin|human|skeleton|FILE.vrm|FILE.glb]",
-    help="Body in glb files (and the fbx of convert), pages, videos and pictures; the motion is "
-    "retargeted to human and to your own avatar: a VRM file, or a glb with Mixamo's names of "
-    "bones.  [default: mannequin; human in drawings of the demo model]",
+    help="Body that is drawn: one of ours, or an avatar (VRM, or glb with Mixamo's names).  "
+    "[default: mannequin; human for the demo model]",
 )
-
-
-def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that override what is detected in a motion file; see `read_from`."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
-
-
-def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the `reading_options` that apply to recordings of a corpus."""
-    for option in reversed(_RECORDING):
-        command = option(command)
-    return command
 
 
 def read_from(reading: dict[str, Any]) -> dict[str, Any]:
@@ -247,9 +234,8 @@ def parse_expert(
     try:
         share = weight if "@" in weight else float(weight) if weight else None
     except ValueError:
-        raise click.UsageError(
-            f"--expert {text}: {weight!r} is not a weight; expected MODEL[:WEIGHT[:STYLE]]."
-        ) from None
+        how = "expected MODEL[:WEIGHT[:STYLE]]"
+        raise click.UsageError(f"--expert {text}: {weight!r} is not a weight; {how}.") from None
     return open_model(model), share, style or None
 
 
@@ -262,10 +248,8 @@ def parse_placed_files(text: str) -> dict[float, Path]:
         name, seconds = split_seconds(item)
         begin = seconds or 0.0
         if begin in placed:
-            raise click.UsageError(
-                f"--keep: {placed[begin]} and {name} both begin at {begin:g} s; give a "
-                "time, such as b.bvh@6."
-            )
+            both = f"{placed[begin]} and {name} both begin at {begin:g} s"
+            raise click.UsageError(f"--keep: {both}; give a time, such as b.bvh@6.")
         placed[begin] = Path(name)
     return placed
 
@@ -279,59 +263,30 @@ def parse_level_files(text: str) -> dict[str, Path]:
     return {levels: Path(name) for levels, _, name in pairs}
 
 
-def take_option(effect: str) -> Callable[..., Any]:
+def take_option(effect: str) -> Decorator:
     """Add --take-pattern and --take-table; `effect` says what goes by takes."""
     pattern = click.option(
         "--take-pattern",
         metavar="REGEX",
-        help="For takes (recording sessions) that were cut into files: take the session from the "
-        f"name of each recording, by a group such as '(.*)_part[0-9]+'. {effect}",
+        help=f"Session of a recording cut into files, by its name: '(.*)_part[0-9]+'. {effect}",
     )
     table = click.option(
         "--take-table",
-        type=click.Path(path_type=Path),
+        type=PATH,
         metavar="FILE.csv",
         help="Take the sessions from a table with the columns id,take instead.",
     )
     return lambda command: pattern(table(command))
 
 
-def existing_option(default: str, *, alias: bool = False, note: str = "") -> Callable[..., Any]:
-    """Add --existing, with --skip-existing as another name of `--existing skip`.
-
-    Args:
-        default: refuse, skip or replace.
-        alias: whether to add --skip-existing.
-        note: added to the help text.
-    """
-
-    skip_by_alias = "--skip-existing"
-
-    def remember(ctx: click.Context, _: click.Parameter, given: bool) -> None:
-        ctx.meta[skip_by_alias] = given
-
-    def choose(ctx: click.Context, _: click.Parameter, value: str) -> str:
-        return "skip" if ctx.meta.get(skip_by_alias) else value
-
-    def add(command: Callable[..., Any]) -> Callable[..., Any]:
-        if alias:
-            command = click.option(
-                *("--skip-existing", "skip_existing"),
-                is_flag=True,
-                is_eager=True,
-                expose_value=False,
-                callback=remember,
-                help="The same as --existing skip.",
-            )(command)
-        return click.option(
-            "--existing",
-            type=click.Choice(["refuse", "skip", "replace"]),
-            default=default,
-            callback=choose,
-            help=f"What to do if an output exists{note}.  [default: {default}]",
-        )(command)
-
-    return add
+def existing_option(default: str, *, note: str = "") -> Decorator:
+    """Add --existing; `note` is added to the help text."""
+    return click.option(
+        "--existing",
+        type=click.Choice(["refuse", "skip", "replace"]),
+        default=default,
+        help=f"What to do if an output exists{note}.",
+    )
 
 
 def is_left(files: Sequence[Path], existing: str) -> bool:

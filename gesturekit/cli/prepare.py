@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from gesturekit.cli.options import (
+    FILE,
+    PATH,
     RECORDING_OPTIONS,
-    SEED,
     GroupedCommand,
     channel_option,
     existing_option,
@@ -17,12 +18,11 @@ from gesturekit.cli.options import (
     part_option,
     read_from,
     recording_options,
+    seed_option,
     take_option,
     workers_option,
 )
 from gesturekit.corpus.layouts import LAYOUTS
-
-_FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 def _seconds(text: str) -> float:
@@ -37,94 +37,78 @@ def _seconds(text: str) -> float:
     groups={},
     epilog="gesturekit prepare recordings/ --unpaired speech/ --out corpus.jsonl",
 )
-@click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="FOLDER...")
-@click.option("-o", "--out", required=True, type=_FILE, help="The manifest.")
+@click.argument("folders", nargs=-1, type=PATH, metavar="FOLDER...")
+@click.option("-o", "--out", required=True, type=FILE, help="The manifest.")
 @click.option(
     "--layout",
     metavar="NAME",
-    help=f"FOLDER is a public corpus in its published form, one of {', '.join(LAYOUTS)}. Its "
-    "splits, speakers, styles and side files are used.",
+    help=f"FOLDER is a public corpus in its published form: {', '.join(LAYOUTS)}.",
 )
 @click.option(
     "--unpaired",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="DIR",
     help="Folder of speech without motion. May be repeated.",
 )
 @click.option(
     "--unpaired-motion",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="DIR",
-    help="Folder of motion without speech, for models without speech input. May be repeated.",
+    help="Folder of motion without speech. May be repeated.",
 )
 @click.option(
     "--holdout",
     type=click.FloatRange(0, 1, max_open=True),
     default=0.1,
-    show_default=True,
-    help="Fraction of the takes to hold out from training, alternately as test and valid: at "
-    "least one of several, or the last 20 % of a single pair. 0 for none.",
+    help="Fraction of the takes to hold out from training, as test and valid; 0 for none.",
 )
 @click.option(
     "--hold-out-seconds",
     metavar="START-END,...",
-    help="Hold out these seconds of each pair instead, as test. Without END, up to the end of the "
-    "pair.",
+    help="Hold out these seconds of each pair instead, as test; without END, up to its end.",
 )
 @click.option(
-    "--hold-out-pattern",
-    metavar="REGEX",
-    help="Hold out the recordings whose path within FOLDER matches instead, as test.",
+    "--hold-out-pattern", metavar="REGEX", help="Hold out recordings whose path matches instead."
 )
 @click.option(
     "--hold-out-list",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="Hold out the recordings named in this text file instead, one per line.",
 )
 @click.option(
     "--hold-out-speakers", metavar="NAME,...", help="Hold out these speakers' recordings instead."
 )
-@click.option(
-    "--seed",
-    type=SEED,
-    default=0,
-    show_default=True,
-    help="Seed for choosing the held-out recordings.",
-)
+@seed_option
 @click.option("--speaker", metavar="NAME", help="The speaker of all recordings in FOLDER.")
 @click.option("--style", metavar="NAME", help="The style of all recordings in FOLDER.")
 @click.option(
     "--style-pattern",
     metavar="REGEX",
-    help="Take style (and speaker) from the path of each recording within its folder, by named "
-    "groups such as '(?P<style>calm|lively)_.*'.",
+    help="Style (and speaker) from each recording's path: '(?P<style>calm|lively)_.*'.",
 )
 @take_option("Takes are held out as a whole.")
 @click.option(
     "--tolerance",
     type=click.FloatRange(0),
     default=1.0,
-    show_default=True,
-    help="Largest allowed difference in length between sound and motion, in seconds; the longer "
-    "one is trimmed.",
+    help="Seconds by which sound and motion may differ in length; the longer one is trimmed.",
 )
 @click.option(
     "--trim",
     default="",
+    show_default=False,
     metavar="ID,...",
-    help="Recordings whose sound and motion may differ in length by more; the longer one is "
-    "trimmed.",
+    help="Pairs that may differ in length by more; the longer one is trimmed.",
 )
 @click.option(
     "--shift",
     default="0",
     metavar="SECONDS|auto",
     callback=lambda ctx, parameter, text: text if text == "auto" else _seconds(text),
-    help="Seconds by which the motion comes later than the sound in the files (negative: earlier), "
-    "to be taken back; auto estimates them for each recording.  [default: 0]",
+    help="Seconds by which the motion comes after the sound, taken back; auto estimates them.",
 )
 @workers_option
 @channel_option

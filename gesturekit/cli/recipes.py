@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from gesturekit.cli.options import PATH
+
 if TYPE_CHECKING:
     from gesturekit.training.recipes import Recipe
 
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 )
 @click.argument("action", type=click.Choice(["ls", "cp"]), default="ls")
 @click.argument("name", required=False)
-@click.argument("destination", required=False, type=click.Path(path_type=Path), metavar="[DEST]")
+@click.argument("destination", required=False, type=PATH, metavar="[DEST]")
 def command(action: str, name: str | None, destination: Path | None) -> None:
     """List the recipes (ls, the default), the configurations of one (ls NAME), or copy one to the
     folder DEST, by default ./NAME (cp NAME DEST).

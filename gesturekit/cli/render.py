@@ -14,11 +14,12 @@ import click
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
 from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
 from gesturekit.cli.options import (
-    SEED,
-    UNITS,
+    FILE,
+    PATH,
     GroupedCommand,
     body_option,
     channel_option,
+    device_option,
     existing_option,
     framing_option,
     given,
@@ -27,8 +28,10 @@ from gesturekit.cli.options import (
     parse_expert,
     parse_level_files,
     parse_placed_files,
-    rig_part_option,
+    rig_options,
+    seed_option,
     size_option,
+    unit_options,
     weights_option,
 )
 from gesturekit.model import Control, Controls, control_entries
@@ -63,7 +66,7 @@ GROUPS = {
     ),
     "Output": (
         *("out", "formats", "fps", "unit", "up", "body", "framing", "size", "rig", "rig_parts"),
-        *("existing", "skip_existing"),
+        "existing",
     ),
     **BATCH_GROUPS,
     "Controls of all models": [name for name in _COMMON if name != "fps"],
@@ -137,13 +140,10 @@ def control_options() -> list[click.Parameter]:
     params=control_options(),
     epilog=EXAMPLES,
 )
-@click.argument("sources", nargs=-1, type=click.Path(path_type=Path), metavar="[WAV]...")
+@click.argument("sources", nargs=-1, type=PATH, metavar="[WAV]...")
 @model_option
 @click.option(
-    "--corpus",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="CORPUS.jsonl",
-    help="Render the items of this manifest instead of WAVs; outputs are named by item id.",
+    "--corpus", type=FILE, metavar="CORPUS.jsonl", help="Render this manifest's items instead."
 )
 @click.option(
     "--split",
@@ -152,32 +152,14 @@ def control_options() -> list[click.Parameter]:
 )
 @output_folder_option
 @click.option(
-    "--format",
-    "formats",
-    default="bvh",
-    help="Output formats: any of bvh,npz,glb,html,mp4,png.  [default: bvh]",
+    "--format", "formats", default="bvh", help="Output formats: any of bvh,npz,glb,html,mp4,png."
 )
-@click.option("--unit", type=click.Choice(UNITS), help="Unit of BVH files.  [default: cm]")
-@click.option(
-    "--up", type=click.Choice(["y", "z"]), help="Up axis of SMPL npz files; z for AMASS readers."
-)
+@unit_options
 @body_option
 @framing_option
 @size_option
-@click.option(
-    "--seed",
-    type=SEED,
-    default=0,
-    show_default=True,
-    help="Random seed. Results of different names are different draws at the same seed.",
-)
-@click.option(
-    "--samples",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Number of motions to generate for each WAV.",
-)
+@seed_option
+@click.option("--samples", type=click.IntRange(1), default=1, help="Motions for each WAV.")
 @click.option(
     "--seconds",
     type=click.FloatRange(min=0, min_open=True, max=4 * 3600),
@@ -185,29 +167,16 @@ def control_options() -> list[click.Parameter]:
 )
 @channel_option
 @weights_option
-@click.option(
-    "--rig",
-    metavar="RIG",
-    help="Skeleton to retarget to: a motion file with any joint names, size and rest pose; or "
-    "smpl, smplh or smplx.",
-)
-@rig_part_option
-@click.option(
-    "--device",
-    default="cpu",
-    show_default=True,
-    help="Device for diffusion and WavLM: cpu, cuda, cuda:1, or auto.",
-)
+@rig_options
+@device_option
 @click.option(
     "--dtype",
     type=click.Choice(["fp32", "bf16"]),
     default="fp32",
-    show_default=True,
-    help="Precision of diffusion models; bf16 is 1.5 to 1.9 times as fast on processors that "
-    "support it, and gives slightly different motion.",
+    help="Precision of diffusion models; bf16 is faster, and its motion differs slightly.",
 )
 @batch_options
-@existing_option("refuse", alias=True)
+@existing_option("refuse")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -291,16 +260,12 @@ def _check(
         raise click.UsageError("--split requires --corpus.")
     if corpus is not None:
         if sources or seconds is not None or options["channel"] is not None:
-            raise click.UsageError(
-                "--corpus sets the sounds: leave out WAV, --seconds and --channel."
-            )
+            raise click.UsageError("--corpus sets the sounds: no WAV, --seconds, --channel.")
         return
     if not sources and seconds is None and not named:
         raise click.UsageError("Give audio files, --corpus, or --seconds for an idle motion.")
     if sources and seconds is not None:
-        raise click.UsageError(
-            "--seconds is for motion without audio; otherwise the audio sets it."
-        )
+        raise click.UsageError("--seconds is for motion without audio, which sets it.")
 
 
 def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
@@ -343,11 +308,8 @@ class _Summary:
         fps = result.facts.get("fps")
         differs = fps is not None and rate is not None and abs(fps - rate) > 0.01 * rate
         if differs and not self._has_named_rate:
-            click.echo(
-                f"Written at {fps:g} fps; the model's own rate is {rate:g} fps "
-                "(change it with --fps).",
-                err=True,
-            )
+            text = f"Written at {fps:g} fps; the model's own rate is {rate:g} fps (--fps sets it)."
+            click.echo(text, err=True)
             self._has_named_rate = True
         if result.error is not None:
             click.echo(f"Failed: {result.error}", err=True)
@@ -374,12 +336,8 @@ def _warn_of_speakers(model: Model, batch: Batch) -> None:
     if isinstance(renderer, Renderer) and all(map(renderer.has_speaker, batch.tasks)):
         return
 
-    click.echo(
-        f"Warning: the model has {len(model.speakers)} speakers and none is chosen: gestures are "
-        "those of all of them, on a skeleton of median size; choose one by --speaker "
-        f"({listed(sorted(model.speakers))})",
-        err=True,
-    )
+    text = f"the model has {len(model.speakers)} speakers, and gestures are those of all of them"
+    click.echo(f"Warning: {text}: --speaker ({listed(sorted(model.speakers))})", err=True)
 
 
 def _write_page(batch: Batch) -> None:

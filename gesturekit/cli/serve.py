@@ -8,40 +8,20 @@ from typing import Any
 
 import click
 
-from gesturekit.cli.options import access_options, model_option, weights_option
+from gesturekit.cli.options import device_option, model_option, service_options, weights_option
 from gesturekit.errors import ConfigError
 
 
 @click.command("serve", epilog="Example: gesturekit serve --model demo")
 @model_option
-@click.option(
-    "--host",
-    default="127.0.0.1",
-    show_default=True,
-    help="Address to listen on. Addresses other than this machine require a token.",
-)
-@click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True)
-@access_options
-@click.option("--max-mb", default=64.0, show_default=True, help="Largest sound file, in MB.")
-@click.option("--max-seconds", default=600.0, show_default=True, help="Longest sound, in seconds.")
-@click.option(
-    "--max-frames",
-    default=36_000.0,
-    show_default=True,
-    help="Longest motion, in frames: seconds times frames per second.",
-)
-@click.option(
-    "--queue", default=16, show_default=True, help="Most requests that may wait; more are refused."
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 64),
-    default=1,
-    show_default=True,
-    help="Number of motions that are generated in parallel.",
-)
+@service_options(8000)
+@click.option("--max-mb", default=64.0, help="Largest sound file, in MB.")
+@click.option("--max-seconds", default=600.0, help="Longest sound, in seconds.")
+@click.option("--max-frames", default=36_000.0, help="Longest motion: seconds times fps.")
+@click.option("--queue", default=16, help="Requests that may wait; more are refused.")
+@click.option("--workers", type=click.IntRange(1, 64), default=1, help="Motions made in parallel.")
 @weights_option
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda, cuda:1, or auto.")
+@device_option
 def command(
     model: str,
     host: str,
@@ -63,9 +43,8 @@ def command(
         from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
         from gesturekit.serving.app import Limits, create_app
     except ImportError as error:
-        raise ConfigError(
-            f"{error.name} is not installed; run: pip install 'gesturekit[serve]'"
-        ) from None
+        how = "pip install 'gesturekit[serve]'"
+        raise ConfigError(f"{error.name} is not installed; run: {how}") from None
     from gesturekit.systems import load
 
     renamed = {"max_mb": "megabytes", "max_seconds": "seconds", "max_frames": "frames"}

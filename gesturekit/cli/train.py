@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from gesturekit.cli.options import PATH
+
 if TYPE_CHECKING:
     from gesturekit.training.config import Setting
 
@@ -17,37 +19,15 @@ if TYPE_CHECKING:
     context_settings={"ignore_unknown_options": True},  # refused below
     epilog="Example: gesturekit train own_corpus corpus=corpus.jsonl out=runs/mine",
 )
-@click.argument("config", type=click.Path(path_type=Path), required=False)
+@click.argument("config", type=PATH, required=False)
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--resume", is_flag=True, help="Continue a run: gesturekit train --resume runs/mine.")
+@click.option("--plan", "only_plan", is_flag=True, help="Print data and estimated time, and exit.")
 @click.option(
-    "--resume",
-    is_flag=True,
-    help="Continue from the last checkpoint: gesturekit train --resume runs/mine.",
+    "--arrays", "only_arrays", is_flag=True, help="Make the arrays of a long corpus, and exit."
 )
-@click.option(
-    "--plan",
-    "only_plan",
-    is_flag=True,
-    help="Print the model, data, output folder and estimated time of the run, and exit.",
-)
-@click.option(
-    "--arrays",
-    "only_arrays",
-    is_flag=True,
-    help="Make the arrays of a corpus that is too long for the memory, and exit; the training then "
-    "finds them.",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1),
-    metavar="N",
-    help="Processes that make these arrays.  [default: 1]",
-)
-@click.option(
-    "--show",
-    is_flag=True,
-    help="Print every setting with its value, default and description, and exit.",
-)
+@click.option("--workers", type=click.IntRange(1), metavar="N", help="Processes for --arrays.")
+@click.option("--show", is_flag=True, help="Print every setting with its description, and exit.")
 def command(
     config: Path | None,
     overrides: tuple[str, ...],
@@ -75,10 +55,7 @@ def command(
     _refuse_options([str(config or ""), *overrides])
     if config is None or ("=" in str(config) and not config.exists()):
         given = shlex.join([str(config), *overrides]) if config else "corpus=CORPUS.jsonl"
-        raise click.UsageError(
-            "name a recipe or a configuration first (gesturekit recipes ls); for your own "
-            f"recordings: gesturekit train own_corpus {given}"
-        )
+        raise click.UsageError(f"name a recipe or a file: gesturekit train own_corpus {given}")
     if workers is not None:
         overrides = (*overrides, f"workers={workers}")
     if show:
@@ -109,6 +86,9 @@ def command(
         click.echo(line)
 
 
+_OPTIONS = ("--resume", "--plan", "--arrays", "--workers", "--show")
+
+
 def _refuse_options(arguments: Sequence[str]) -> None:
     """Refuse options that do not exist; most are settings written as options.
 
@@ -121,15 +101,11 @@ def _refuse_options(arguments: Sequence[str]) -> None:
         if not text.startswith("-"):
             continue
         name, _, value = text.partition("=")
-        if near := did_you_mean(
-            name, ["--resume", "--plan", "--arrays", "--workers", "--show"], "{}"
-        ):
+        if near := did_you_mean(name, _OPTIONS, "{}"):
             raise click.NoSuchOption(text, possibilities=[near])
         is_value = after and "=" not in after and not after.startswith("-")
         setting = f"{name.lstrip('-')}={value or (after if is_value else 'VALUE')}"
-        raise click.UsageError(
-            f"No such option: {text}; settings are written without --: {setting}"
-        )
+        raise click.UsageError(f"No such option: {text}; settings have no --: {setting}")
 
 
 def _show(settings: Sequence[Setting]) -> None:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.options import (
+    FILE,
+    PATH,
     RATE,
     body_option,
     existing_option,
@@ -37,16 +39,13 @@ _TOLERANCE = 1.0
     "Example: gesturekit view recorded.bvh rendered.bvh --out compare.html\n\n"
     "Example: gesturekit view recorded.bvh rendered.bvh --audio take.wav -o compare.mp4",
 )
-@click.argument(
-    "clips", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="MOTION..."
-)
-@click.option("--audio", type=click.Path(path_type=Path), metavar="WAV", help="Sound to play.")
+@click.argument("clips", nargs=-1, required=True, type=PATH, metavar="MOTION...")
+@click.option("--audio", type=PATH, metavar="WAV", help="Sound to play.")
 @click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    *("-o", "--out"),
+    type=FILE,
     metavar="FILE",
-    help="Write a page (.html), video (.mp4) or picture (.png, .svg, .pdf) and do not open it.",
+    help="Write a page (.html), video (.mp4) or picture (.png, .svg, .pdf); do not open it.",
 )
 @body_option
 @framing_option
@@ -123,11 +122,8 @@ def _compare_lengths(audio: Path, longest: float) -> None:
     from audio_features import Wave
 
     if abs((sound := Wave.load(audio).duration) - longest) > _TOLERANCE:
-        click.echo(
-            f"Warning: {audio} lasts {sound:.1f} s, the motion {longest:.1f} s: the longer of the "
-            "two is played to its end; check that they belong together",
-            err=True,
-        )
+        text = f"{audio} lasts {sound:.1f} s, the motion {longest:.1f} s: do they belong together?"
+        click.echo(f"Warning: {text}", err=True)
 
 
 def _files_of(clips: tuple[Path, ...]) -> list[Path]:
@@ -136,10 +132,8 @@ def _files_of(clips: tuple[Path, ...]) -> list[Path]:
 
     files = [motion for clip in clips for motion in motions_of(clip)]
     if len(files) > (most := max(len(clips), _MOST)):
-        click.echo(
-            f"Warning: {len(files)} motions; the page shows the first {most}, or those you name",
-            err=True,
-        )
+        text = f"{len(files)} motions; the page shows the first {most}, or those you name"
+        click.echo(f"Warning: {text}", err=True)
     return files[:most]
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from audio_features.errors import check_values
 from gesturekit.errors import CorpusError
 
 if TYPE_CHECKING:
@@ -119,26 +120,22 @@ class Item:
             raise CorpusError(f"item {self.id!r} has neither audio nor motion")
         if not self.take:
             object.__setattr__(self, "take", self.file_take)
-        for name in ("audio_start", "motion_start", "duration"):
-            seconds = getattr(self, name)
-            if not math.isfinite(seconds) or seconds < 0 or (name == "duration" and seconds == 0):
-                raise CorpusError(f"item {self.id!r}: {name} is {seconds}, not a length in seconds")
-        if self.channel is not None and self.channel < 1:
-            raise CorpusError(f"item {self.id!r}: channel is {self.channel}; they count from 1")
+        seconds = "seconds, 0 or more"
+        checks: list[tuple[str, Any, bool, str]] = [
+            ("audio_start", self.audio_start, 0 <= self.audio_start < math.inf, seconds),
+            ("motion_start", self.motion_start, 0 <= self.motion_start < math.inf, seconds),
+            ("duration", self.duration, 0 < self.duration < math.inf, "seconds above 0"),
+            ("channel", self.channel, self.channel is None or self.channel >= 1, "1 or more"),
+            ("split", self.split, self.split in SPLITS, f"one of {', '.join(SPLITS)}"),
+        ]
         for name, value in self.reading.items():
-            if name not in READING:
-                raise CorpusError(
-                    f"item {self.id!r}: reading has {name!r}; it holds {', '.join(READING)}"
-                )
-            if not isinstance(value, READING[name]) or isinstance(value, bool):
-                raise CorpusError(f"item {self.id!r}: reading.{name} is {value!r}")
+            fits = isinstance(value, READING.get(name, ())) and not isinstance(value, bool)
+            known = f"an option ({', '.join(READING)}) of its type"
+            checks.append((f"reading.{name}", value, fits, known))
         for interval in self.audible:
-            if not (len(interval) == 2 and 0 <= interval[0] <= interval[1] < math.inf):
-                raise CorpusError(f"item {self.id!r}: audible has {interval}; expected START, END")
-        if self.split not in SPLITS:
-            raise CorpusError(
-                f"item {self.id!r}: split is {self.split!r}; it must be one of {', '.join(SPLITS)}"
-            )
+            fits = len(interval) == 2 and 0 <= interval[0] <= interval[1] < math.inf
+            checks.append(("audible", interval, fits, "START, END"))
+        check_values(CorpusError, f"item {self.id!r}: ", checks)
 
     @property
     def file_take(self) -> str:
@@ -175,11 +172,9 @@ class Item:
             self.audio, start=self.audio_start, duration=self.duration, channel=self.channel
         )
         if wave.duration < self.duration - _MISSING_SECONDS:
-            raise CorpusError(
-                f"item {self.id!r} is {self.duration:.2f} s of {self.audio} from "
-                f"{self.audio_start:.2f} s, but only {wave.duration:.2f} s are there; prepare the "
-                "corpus again"
-            )
+            wanted = f"is {self.duration:.2f} s of {self.audio} from {self.audio_start:.2f} s"
+            there = f"only {wave.duration:.2f} s are there; prepare the corpus again"
+            raise CorpusError(f"item {self.id!r} {wanted}, but {there}")
         if "words" in self.conditions:
             wave = replace(wave, words=self.conditions["words"])
         return muted(wave, self.audible) if self.audible else wave
@@ -207,10 +202,9 @@ class Item:
         start = math.floor(self.motion_start * motion.fps + 0.5)
         stop = start + math.floor(self.duration * motion.fps + 0.5)
         if stop > motion.n_frames + 1 or start >= min(stop, motion.n_frames):
-            raise CorpusError(
-                f"item {self.id!r} is frames {start} to {stop} of {self.motion}, which has "
-                f"{motion.n_frames} frames at {motion.fps:g} fps; prepare the corpus again"
-            )
+            there = f"{motion.n_frames} frames at {motion.fps:g} fps; prepare the corpus again"
+            wanted = f"is frames {start} to {stop} of {self.motion}"
+            raise CorpusError(f"item {self.id!r} {wanted}, which has {there}")
         if start > 0 or stop < motion.n_frames:
             motion = motion[start:stop]
         return motion.mirror() if self.mirror else motion
@@ -296,7 +290,5 @@ def check_id(name: str) -> None:
     if not is_text or any(
         word in ("", ".", "..") or len(word.encode()) > _LONGEST_NAME for word in name.split("/")
     ):
-        raise CorpusError(
-            f"id {name!r} cannot be used: an id is a name, or names joined by '/', "
-            f"without '..' and control characters, of up to {_LONGEST_NAME} bytes each"
-        )
+        names = f"names of up to {_LONGEST_NAME} bytes joined by '/', without '..'"
+        raise CorpusError(f"id {name!r} cannot be used: an id is a name, or {names}")

@@ -12,6 +12,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -31,11 +32,11 @@ class Manifest:
         CorpusError: two items have one id.
     """
 
-    def __init__(self, items: Iterable[Item]) -> None:
+    def __init__(self, items: Iterable[Item], where: str = "manifest") -> None:
         self.items: tuple[Item, ...] = tuple(sorted(items, key=lambda item: item.id))
-        repeated = [name for name, n in Counter(item.id for item in self.items).items() if n > 1]
-        if repeated:
-            raise CorpusError(f"ids must be unique; more than one item is called {repeated[0]!r}")
+        for item, after in pairwise(self.items):
+            if item.id == after.id:
+                raise CorpusError(f"{where}: more than one item is called {item.id!r}")
 
     def __len__(self) -> int:
         return len(self.items)
@@ -57,10 +58,7 @@ class Manifest:
         if not items:
             counts = Counter(item.split for item in self.items)
             there = ", ".join(f"{n} in {name}" for name, n in sorted(counts.items()))
-            raise CorpusError(
-                f"{where}: no item is in split {split} ({there or 'it is empty'}); "
-                "choose another split"
-            )
+            raise CorpusError(f"{where}: no item is in split {split} ({there or 'it is empty'})")
         return items
 
     def paired(self, split: str | None = None) -> tuple[Item, ...]:
@@ -91,28 +89,18 @@ class Manifest:
                 item; the message gives file and line.
         """
         path = Path(path)
-        items: list[Item] = []
-        line_of: dict[str, int] = {}
         records = _records(path)
         number, header = next(records, (0, None))
         if header is None:
             raise CorpusError(f'{path}: empty; a manifest begins with {{"schema": {SCHEMA}}}')
         if header != {"schema": SCHEMA}:
-            raise CorpusError(
-                f'{path}:{number}: a manifest begins with {{"schema": {SCHEMA}}}; schema '
-                f"{header.get('schema')} is another, and a newer one needs a newer gesturekit"
-            )
-        for number, record in records:
-            where = f"{path}:{number}"
-            item = _item_from_record(record, folder=absolute(path).parent, where=where)
-            if item.id in line_of:
-                raise CorpusError(
-                    f"{where}: id {item.id!r} was already used on line {line_of[item.id]}; "
-                    "ids must be unique"
-                )
-            line_of[item.id] = number
-            items.append(item)
-        return cls(items)
+            other = f"schema {header.get('schema')} is another, and needs another gesturekit"
+            raise CorpusError(f'{path}:{number}: expected {{"schema": {SCHEMA}}}; {other}')
+        folder = absolute(path).parent
+        return cls(
+            (_item_from_record(record, folder, f"{path}:{number}") for number, record in records),
+            str(path),
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the manifest atomically; equal items give equal bytes."""
@@ -142,9 +130,7 @@ def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
         lines = iter(lambda: file.readline(_MAX_LINE_BYTES + 1), b"")
         for number, line in enumerate(lines, start=1):
             if len(line) > _MAX_LINE_BYTES:
-                raise CorpusError(
-                    f"{path}:{number}: line longer than {_MAX_LINE_BYTES} bytes; not a manifest"
-                )
+                raise CorpusError(f"{path}:{number}: a line over {_MAX_LINE_BYTES} bytes")
             if line.strip():
                 yield number, _parsed(line, f"{path}:{number}")
 
@@ -187,11 +173,9 @@ _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
 }
 
 
-def _item_from_record(record: dict[str, Any], *, folder: Path, where: str) -> Item:
+def _item_from_record(record: dict[str, Any], folder: Path, where: str) -> Item:
     if unknown := sorted(set(record) - set(_FIELDS)):
-        raise CorpusError(
-            f"{where}: unknown field {unknown[0]!r}; an item has {', '.join(_FIELDS)}"
-        )
+        raise CorpusError(f"{where}: unknown field {unknown[0]!r}; known: {', '.join(_FIELDS)}")
     if missing := [repr(n) for n in _FIELDS if n not in record and n not in _OPTIONAL]:
         raise CorpusError(f"{where}: missing field {', '.join(missing)}")
     for name, value in record.items():
@@ -204,10 +188,7 @@ def _item_from_record(record: dict[str, Any], *, folder: Path, where: str) -> It
         if not isinstance(text, str) or not text or "\0" in text:
             raise CorpusError(f"{where}: {name} must be a path, got {json.dumps(text)[:80]}")
         if PurePosixPath(text).is_absolute() or PureWindowsPath(text).is_absolute():
-            raise CorpusError(
-                f"{where}: {name} is the absolute path {text!r}; a manifest holds paths relative "
-                "to itself, so that a corpus can move"
-            )
+            raise CorpusError(f"{where}: {name} is the absolute path {text!r}; give a relative one")
         return absolute(folder / text)
 
     values = dict(record)

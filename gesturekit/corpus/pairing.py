@@ -194,9 +194,8 @@ def _match(
         elif not ambiguous_is_error:
             left += group
         else:
-            text = (
-                f"{name!r} is ambiguous, left out: {len(speech)} speech and {len(motion)} motion "
-                f"files fit it; keep one of each: {', '.join(str(f.path) for f in sorted(group))}"
-            )
+            fitting = f"{len(speech)} speech and {len(motion)} motion files fit it"
+            names = ", ".join(str(file.path) for file in sorted(group))
+            text = f"{name!r} is ambiguous, left out: {fitting}; keep one of each: {names}"
             result.problems.append(Problem("error", None, text))
     return left

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from audio_features.errors import check_values
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.alignment import corrections, shift_problems
 from gesturekit.corpus.checks import Problem
@@ -26,12 +27,12 @@ from gesturekit.corpus.report import Report
 from gesturekit.corpus.takes import name_takes, neighbours, take_in
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
-from gesturekit.formats.registry import MOTION_SUFFIXES, format_of
+from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.sources import (
     OTHER_SPEECH_SUFFIXES,
     SPEECH_SUFFIXES,
     applicable_read_options,
-    refuse_unused_read_options,
+    refuse_unused_options,
 )
 from gesturekit.motion.parts import find_parts
 from gesturekit.wording import counted, did_you_mean, listed
@@ -119,20 +120,19 @@ class PrepareOptions:
         if self.take_table is not None and not Path(self.take_table).is_file():
             raise CorpusError(f"table of takes {self.take_table}: no such file")
         is_number = isinstance(self.shift, int | float) and math.isfinite(self.shift)
-        for name, is_right, wanted in (
-            ("holdout", 0 <= self.holdout < 1, "a fraction from 0 to below 1"),
-            ("seed", self.seed >= 0, "a whole number from 0"),
-            ("workers", 1 <= self.workers <= 1024, "at least 1"),
-            ("tolerance", 0 <= self.tolerance < math.inf, "0 or more seconds"),
-            ("shift", is_number or self.shift == "auto", "seconds, or auto"),
-        ):
-            if not is_right:
-                raise CorpusError(f"{name} is {getattr(self, name)!r}; give {wanted}")
-        if unknown := sorted(set(self.read or {}) - set(READING)):
-            raise CorpusError(f"read: unknown option {unknown[0]!r}; expected {list(READING)}")
-        body_model = (self.read or {}).get("body_model")
-        if body_model is not None and not Path(body_model).exists():
-            raise CorpusError(f"body model {body_model}: no such file or folder")
+        read = self.read or {}
+        model = read.get("body_model")
+        is_there = model is None or Path(model).exists()
+        values = (
+            ("holdout", self.holdout, 0 <= self.holdout < 1, "a fraction from 0 to below 1"),
+            ("seed", self.seed, self.seed >= 0, "a whole number from 0"),
+            ("workers", self.workers, 1 <= self.workers <= 1024, "at least 1"),
+            ("tolerance", self.tolerance, 0 <= self.tolerance < math.inf, "0 or more seconds"),
+            ("shift", self.shift, is_number or self.shift == "auto", "seconds, or auto"),
+            ("read", list(read), set(read) <= set(READING), f"options of {list(READING)}"),
+            ("body model", model, is_there, "a file or folder"),
+        )
+        check_values(CorpusError, "", values)
 
 
 @gesturekit_errors()
@@ -235,7 +235,7 @@ def _examined(
 ) -> tuple[list[Recording], list[Problem]]:
     """Load and check the recordings; return the usable ones and all problems."""
     read = options.read or {}
-    refuse_unused_read_options(read, {format_of(r.motion) for r in recordings if r.motion})
+    refuse_unused_options(read, [r.motion for r in recordings if r.motion])
     trim = set(_names(options.trim))
     known = [recording.id for recording in recordings]
     if unknown := sorted(trim - set(known)):
@@ -270,9 +270,7 @@ def _published(options: PrepareOptions, folders: list[Any]) -> Listing | None:
     if options.layout is None:
         return None
     if len(folders) != 1:
-        raise CorpusError(
-            f"layout {options.layout}: {len(folders)} folders; give one folder, that of the corpus"
-        )
+        raise CorpusError(f"layout {options.layout}: {len(folders)} folders; give the corpus's one")
     listing = read_layout(options.layout, Path(folders[0]))
     if options.speaker:
         listing.recordings = [replace(r, speaker=options.speaker) for r in listing.recordings]
@@ -305,10 +303,9 @@ def _find(
     def files_in(folder: Any) -> list[MediaFile]:
         files, trouble = scan(folder)
         if not (files or trouble or unread(folder)):
-            sought = (
-                f"sound ({', '.join(SPEECH_SUFFIXES)}) nor motion ({', '.join(MOTION_SUFFIXES)})"
-            )
-            trouble.append(Problem("warning", Path(folder), f"neither {sought} in it"))
+            sounds, motions = ", ".join(SPEECH_SUFFIXES), ", ".join(MOTION_SUFFIXES)
+            text = f"neither sound ({sounds}) nor motion ({motions}) in it"
+            trouble.append(Problem("warning", Path(folder), text))
         problems.extend(problem for problem in trouble if problem not in problems)
         return files
 
@@ -363,14 +360,9 @@ def _style_pattern(pattern: str | None) -> re.Pattern[str] | None:
     try:
         compiled = re.compile(pattern)
     except re.error as error:
-        raise CorpusError(
-            f"style pattern {pattern} is not a regular expression: {error}"
-        ) from error
+        raise CorpusError(f"style pattern {pattern}: not a regular expression: {error}") from error
     if not {"style", "speaker"} & set(compiled.groupindex):
-        raise CorpusError(
-            f"style pattern {pattern} has no group named style or speaker; "
-            "write (?P<style>…) around what names the style"
-        )
+        raise CorpusError(f"style pattern {pattern}: no group style or speaker: (?P<style>…)")
     return compiled
 
 
@@ -393,10 +385,8 @@ def _labelled(
             text = f"name does not match style pattern {pattern.pattern}"
             problems.append(Problem("note", recording.file, text))
     if pattern and recordings and len(problems) == len(recordings):
-        text = (
-            f"style pattern {pattern.pattern} matches none of "
-            f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
-        )
+        held = f"{counted(len(recordings), 'recording')}, such as {recordings[0].id}"
+        text = f"style pattern {pattern.pattern} matches none of {held}"
         problems.append(Problem("warning", None, text))
     return labelled, problems
 
@@ -464,9 +454,7 @@ def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
     if not odd:
         ends = min(heights, key=heights.__getitem__), max(heights, key=heights.__getitem__)
         odd = [f"{file} ({heights[file]:.3g} m)" for file in ends]
-    text = (
-        f"body heights differ by a factor of {max(heights.values()) / min(heights.values()):.3g}; "
-        f"the usual is {usual:.3g} m, but not of {listed(odd, 3)}. If a unit was read wrongly, "
-        "prepare those files on their own with --in-unit, or all with --height"
-    )
-    return [Problem("warning", None, text)]
+    ratio = max(heights.values()) / min(heights.values())
+    differ = f"body heights differ by a factor of {ratio:.3g}; the usual is {usual:.3g} m"
+    how = "is a unit wrong? prepare these files on their own with --in-unit, or all with --height"
+    return [Problem("warning", None, f"{differ}, but not of {listed(odd, 3)}; {how}")]

@@ -237,10 +237,8 @@ def _check_lengths(
     apart = abs(sound - motion.duration)
     lengths = f"{sound:.2f} s of sound and {motion.duration:.2f} s of motion"
     if apart > tolerance:
-        text = (
-            f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s: cut both files to "
-            f"the same stretch, or use what they share with --trim {recording.id}"
-        )
+        differ = f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s"
+        text = f"{differ}: cut both alike, or use what they share with --trim {recording.id}"
         problems.append(Problem("error", recording.motion, text))
     elif apart > 1.0 / motion.fps:
         text = f"{lengths}: trimmed to the shorter"
@@ -279,12 +277,10 @@ def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[
         warn(f"frozen (no joint moves at all) from {times}")
     jumps = defects.find_jumps(used)
     if jumps is not None:
-        text = (
-            f"{len(jumps.frames)} of {used.n_frames} frames jump "
-            f"({defects.speed_limit(jumps.limit)}) at "
-            f"{listed([at(frame) for frame in jumps.frames], _TIMES_SHOWN)}; "
-            f"fastest is {jumps.joint!r} with {defects.format_speed(jumps.speed)}"
-        )
+        times = listed([at(frame) for frame in jumps.frames], _TIMES_SHOWN)
+        most = f"{jumps.joint!r} with {defects.format_speed(jumps.speed)}"
+        text = f"{len(jumps.frames)} of {used.n_frames} frames jump "
+        text += f"({defects.speed_limit(jumps.limit)}) at {times}; fastest is {most}"
         if len(jumps.frames) > checks.MAX_JUMP_SHARE * used.n_frames:
             text += ": are its frame rate and its unit right (--in-fps, --in-unit, --height)?"
         warn(text)

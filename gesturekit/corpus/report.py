@@ -56,11 +56,11 @@ class Report:
             ("speech alone", _by_split(manifest.unpaired())),
             ("motion alone", _by_split(manifest.motion_alone())),
             ("takes", self._takes()),
-            ("frame rates", _counted(f"{r.fps:.6g} fps" for r in self._moving)),
+            ("frame rates", counts(f"{r.fps:.6g} fps" for r in self._moving)),
             ("body heights", self._heights()),
             ("body shapes", self._shapes()),
-            ("joints", _counted(str(r.skeleton.n_joints) for r in self._moving if r.skeleton)),
-            ("sample rates", _counted(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
+            ("joints", counts(str(r.skeleton.n_joints) for r in self._moving if r.skeleton)),
+            ("sample rates", counts(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
             ("speakers", _labels([r.speaker for r in self.recordings])),
             ("styles", _labels([r.style for r in self.recordings])),
             ("side files", self._side_files()),
@@ -100,7 +100,7 @@ class Report:
     def _side_files(self) -> str:
         """Return the kinds of tables beside the recordings: "words from .TextGrid (3)"."""
         beside = (table for recording in self.recordings for table in recording.conditions.items())
-        return _counted(f"{name} from {file.suffix}" for name, file in beside)
+        return counts(f"{name} from {file.suffix}" for name, file in beside)
 
     def _heights(self) -> str:
         heights = sorted(r.height for r in self.recordings if r.height is not None)
@@ -155,9 +155,13 @@ def _length(seconds: float) -> str:
 
 def _labels(values: Collection[str | None]) -> str:
     """Return the labels with their numbers of recordings."""
-    return _counted(value or "not named" for value in values) if any(values) else "none named"
+    return counts(value or "not named" for value in values) if any(values) else "none named"
 
 
-def _counted(values: Iterable[Any]) -> str:
-    counts = sorted(Counter(values).items(), key=lambda entry: (-entry[1], entry[0]))
-    return listed([f"{value} ({count})" for value, count in counts], 12)
+def counts(values: Iterable[Any]) -> str:
+    """Return different values with their numbers, the most frequent first."""
+    most_first = sorted(
+        Counter(value for value in values if value is not None).items(),
+        key=lambda entry: (-entry[1], entry[0]),
+    )
+    return listed([f"{value} ({count})" for value, count in most_first], 12)

@@ -233,11 +233,8 @@ class SpeechConditioner:
         if wave.is_silent:
             log.warning("%s: silent; the motion will be idle", name)
         elif speech.is_silent:
-            log.warning(
-                "%s: no voice found (noise, hum or whispering); the motion will be idle. With "
-                "vad=False (--no-vad) it follows this sound all the same",
-                name,
-            )
+            text = "no voice found (noise, hum, whispering): idle motion; --no-vad follows it"
+            log.warning("%s: %s", name, text)
         level = self.normalisation == "clip"
         with one_blas_thread():
             features = extract(speech, self.extractor, self.fps, self.align, n_frames, level=level)
@@ -413,29 +410,22 @@ def speech_features(
         if conditioner is None:
             raise ModelError("speech: this model takes no speech; give seconds instead (--seconds)")
         if seconds is not None:
-            raise ModelError(
-                "seconds cannot be combined with speech: the motion is as long as the speech"
-            )
+            raise ModelError("seconds cannot be combined with speech, which sets the length")
         wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
         for repair in wave.repairs:
             log.warning("%s: %s", wave.source or "the speech", repair)
         n_frames = wave.n_frames(fps)
         if n_frames < 1:
-            raise ModelError(
-                f"{wave.source or 'the speech'}: {wave.duration:.3f} s is shorter than half a "
-                f"frame at {fps:g} fps"
-            )
+            short = f"{wave.duration:.3f} s is shorter than half a frame at {fps:g} fps"
+            raise ModelError(f"{wave.source or 'the speech'}: {short}")
         return conditioner(wave, n_frames, vad)
     if seconds is None:
         wanted = "seconds" if conditioner is None else "speech, or seconds for idle motion"
         raise ModelError(f"nothing to generate from: give {wanted}")
-    if isinstance(seconds, str):
-        raise ModelError(f"seconds={seconds!r}: give a number")
-    n_frames = int(np.floor(seconds * fps + 0.5)) if np.isfinite(seconds) else 0
-    if n_frames < 1:
-        raise ModelError(f"seconds={seconds}: must be at least one frame ({1 / fps:g} s)")
-    if seconds > _LONGEST_SECONDS:
-        raise ModelError(f"seconds={seconds:g}: at most {_LONGEST_SECONDS:g} (a day) at a time")
+    if isinstance(seconds, str) or not 0.5 <= seconds * fps <= _LONGEST_SECONDS * fps:
+        ends = f"{1 / fps:g} s (a frame) to {_LONGEST_SECONDS:g} s (a day)"
+        raise ModelError(f"seconds={seconds!r}: give {ends}")
+    n_frames = int(np.floor(seconds * fps + 0.5))
     if conditioner is None:
         return np.zeros((n_frames, 0), np.float32)
     return conditioner.silence(n_frames)

@@ -85,22 +85,14 @@ def hold_out(
     known = {recording.speaker for recording in recordings}
     if unknown := sorted(set(speakers) - known):
         there = listed(sorted(filter(None, known))) or "none"
-        raise CorpusError(
-            f"hold-out: no recording of speaker {unknown[0]!r}; the corpus names {there}"
-        )
+        raise CorpusError(f"hold-out: no recording of speaker {unknown[0]!r}; there are {there}")
     originals = {
         _original(recording)
         for recording in recordings
         if recording.id in wanted or recording.speaker in speakers
     }
-    held_out = [
-        recording.id in wanted or _original(recording) in originals for recording in recordings
-    ]
-    if recordings and all(held_out):
-        raise CorpusError(
-            f"all {counted(len(recordings), 'recording')} would be held out, which would "
-            "leave none for training"
-        )
+    if recordings and originals == set(map(_original, recordings)):
+        raise CorpusError(f"all {counted(len(recordings), 'recording')} would be held out")
     return [
         replace(recording, split="test" if _original(recording) in originals else "train")
         for recording in recordings
@@ -111,14 +103,10 @@ def _matching(ids: list[str], pattern: str) -> set[str]:
     try:
         names = {name for name in ids if re.search(pattern, name)}
     except re.error as error:
-        raise CorpusError(
-            f"hold-out pattern {pattern} is not a regular expression: {error}"
-        ) from error
+        raise CorpusError(f"hold-out pattern {pattern}: no regular expression: {error}") from error
     if ids and not names:
-        raise CorpusError(
-            f"hold-out pattern {pattern} matches none of {counted(len(ids), 'recording')}, such as "
-            f"{ids[0]}"
-        )
+        held = f"{counted(len(ids), 'recording')}, such as {ids[0]}"
+        raise CorpusError(f"hold-out pattern {pattern} matches none of {held}")
     return names
 
 
@@ -138,10 +126,8 @@ def _listed(ids: list[str], file: Path, copies: str) -> set[str]:
         if not fitting:
             unknown.append(line)
     if unknown:
-        raise CorpusError(
-            f"{file}: {counted(len(unknown), 'name')} without a usable recording: "
-            f"{listed(unknown, 10)}"
-        )
+        lost = f"{counted(len(unknown), 'name')} without a usable recording"
+        raise CorpusError(f"{file}: {lost}: {listed(unknown, 10)}")
     return names
 
 
@@ -163,10 +149,8 @@ def as_intervals(wanted: str | Sequence[Interval]) -> list[Interval]:
         try:
             start, stop = map(float, ends)
         except (TypeError, ValueError):
-            raise CorpusError(
-                f'{interval!r} is not an interval; write START-END in seconds, as in "10-15,50-", '
-                "or [(10, 15), (50, math.inf)]"
-            ) from None
+            how = 'START-END in seconds, as "10-15,50-", or [(10, 15), (50, math.inf)]'
+            raise CorpusError(f"{interval!r} is not an interval; write {how}") from None
         if not 0 <= start < stop:
             raise CorpusError(f"interval {interval!r} ends before it begins, or before 0")
         intervals.append((start, stop))

@@ -53,21 +53,16 @@ def from_amass(archive: Archive, up: str) -> Motion:
         FormatError: a key is missing, pickled, or of a wrong shape.
     """
     if lacking := [key for key in ("poses", "trans") if key not in archive]:
-        held = [ascii(key)[1:-1] for key in archive]
-        raise FormatError(
-            f"{archive.path}: not a motion: there is no key {lacking[0]!r}. An npz of motion is in "
-            "gesturekit's own format or has the keys poses, trans and mocap_frame_rate of AMASS "
-            f"and BEAT2; this one has {listed([key[:40] for key in held], 8) or 'none'}"
-        )
+        held = listed([ascii(key)[1:-1][:40] for key in archive], 8) or "none"
+        need = "an npz of motion has poses, trans and mocap_frame_rate (AMASS), or is gesturekit's"
+        raise FormatError(f"{archive.path}: no key {lacking[0]!r}: {need}; this one has {held}")
     poses = archive.numbers("poses")
     if poses.ndim == 3:  # some keep the joints apart: (T, J, 3)
         poses = poses.reshape(len(poses), -1)
     trans = archive.numbers("trans")
     if poses.ndim != 2 or poses.shape[1] not in [3 * n for n in N_JOINTS]:
-        raise FormatError(
-            f"key 'poses' has shape {poses.shape}; expected (frames, 3 x joints) with "
-            f"{', '.join(map(str, N_JOINTS))} joints of an SMPL rig"
-        )
+        need = f"(frames, 3 x joints) with {', '.join(map(str, N_JOINTS))} joints"
+        raise FormatError(f"key 'poses' has shape {poses.shape}; expected {need}")
     if trans.shape != (len(poses), 3):
         raise FormatError(f"key 'trans' has shape {trans.shape}; expected ({len(poses)}, 3)")
     n_joints = poses.shape[1] // 3
@@ -143,16 +138,12 @@ def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> B
     if betas.ndim == 2:  # one row for each frame, although a body does not change
         betas = betas.mean(axis=0) if len(betas) else betas.ravel()
     if betas.ndim != 1 or len(betas) > MAX_BETAS or not np.isfinite(betas).all():
-        raise FormatError(
-            f"key {betas_key!r} has shape {betas.shape}; expected up to {MAX_BETAS} finite "
-            "coefficients"
-        )
+        need = f"up to {MAX_BETAS} finite coefficients"
+        raise FormatError(f"key {betas_key!r} has shape {betas.shape}; expected {need}")
     gender = _text(archive, "gender").lower()
     if gender and gender not in GENDERS:
-        warnings.warn(
-            f"{archive.path}: gender {gender!r} is none of {', '.join(GENDERS)}; it is left out",
-            stacklevel=2,
-        )
+        text = f"gender {gender!r} is none of {', '.join(GENDERS)}; it is left out"
+        warnings.warn(f"{archive.path}: {text}", stacklevel=2)
     return BodyShape(
         betas=tuple(betas),
         gender=gender if gender in GENDERS else None,
@@ -167,11 +158,8 @@ def with_expressions(motion: Motion, archive: Archive) -> Motion:
         return motion
     values = archive.numbers("expressions")
     if values.ndim != 2 or len(values) != motion.n_frames or values.shape[1] > _MAX_EXPRESSIONS:
-        warnings.warn(
-            f"{archive.path}: expressions have shape {values.shape} for {motion.n_frames} frames; "
-            "they are left out",
-            stacklevel=2,
-        )
+        text = f"shape {values.shape} for {motion.n_frames} frames; they are left out"
+        warnings.warn(f"{archive.path}: expressions have {text}", stacklevel=2)
         return motion
     return replace(motion, expressions=values) if values.any() else motion
 
@@ -222,9 +210,8 @@ def from_seamless(archive: Archive) -> Motion:
         values = archive.numbers(f"smplh:{name}")
         n_frames = len(values)
         if values.size != n_frames * n_joints * 3:
-            raise FormatError(
-                f"key 'smplh:{name}' has shape {values.shape}; expected (frames, {n_joints}, 3)"
-            )
+            need = f"(frames, {n_joints}, 3)"
+            raise FormatError(f"key 'smplh:{name}' has shape {values.shape}; expected {need}")
         parts.append(values.reshape(n_frames, n_joints, 3))
     trans = archive.numbers("smplh:translation")
     if len({len(part) for part in parts}) > 1 or trans.shape != (len(parts[0]), 3):

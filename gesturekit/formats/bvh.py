@@ -115,11 +115,8 @@ def write_bvh(
         if set("{}") & set(name) or name != " ".join(name.split()):
             raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")
     if split := [name for name in motion.skeleton.names if " " in name]:
-        warnings.warn(
-            f"joint names with spaces ({listed(split, 3)}): they are kept, but some readers of "
-            "BVH, bvhio among them, split them",
-            stacklevel=2,
-        )
+        text = f"joint names with spaces ({listed(split, 3)}), which some readers, as bvhio, split"
+        warnings.warn(text, stacklevel=2)
     places = decimals + int(np.ceil(np.log10(METRES[unit] / METRES["cm"])))
     hierarchy = _hierarchy(motion, unit, places)
     values, lengths = _channels(motion, METRES[unit])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterator
@@ -29,7 +30,7 @@ def frame_rate(text: str) -> float:
     try:
         seconds = Decimal(text)
     except InvalidOperation:
-        raise ValueError(f"Frame Time: {text[:40]!r} is not a number") from None
+        seconds = Decimal("nan")
     if not seconds.is_finite() or not Decimal("1e-5") <= seconds <= 100_000:
         raise ValueError(f"Frame Time: {text[:40]!r} s; expected 0.00001 to 100000")
     whole = round(1 / seconds)
@@ -131,9 +132,7 @@ def parse_bvh(path: Path, fps: float | None = None) -> ParsedBvh:
             start = stream.read(16)
         kind = kind_by_content(start)
         if kind not in (None, "a BVH file"):
-            raise FormatError(
-                f"{path}:1: the file looks like {kind} inside; a BVH file begins with HIERARCHY"
-            )
+            raise FormatError(f"{path}:1: {kind} inside; a BVH file begins with HIERARCHY")
         try:
             return _parse(path, _BYTE_ORDER_MARKS.get(start[:2], "utf-8-sig"), fps)
         except UnicodeError:
@@ -179,11 +178,10 @@ def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
         word, _, rest = statement.partition(" ")
         keyword = word.upper()
         inside = blocks[open_blocks[-1]] if open_blocks else None
-        if is_named and keyword != "{":
-            raise lines.error(f"expected {{ after the name of a joint, found {statement[:40]!r}")
+        if is_named != (keyword == "{"):
+            why = "a { follows ROOT, JOINT and End Site, and nothing else does"
+            raise lines.error(f"{why}; found {statement[:40]!r}")
         if keyword == "{":
-            if not is_named:
-                raise lines.error("a { that does not follow ROOT, JOINT or End Site")
             open_blocks.append(len(blocks) - 1)
             is_named = False
         elif keyword == "}":
@@ -204,10 +202,9 @@ def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
                 unit = units.get(rest)
         elif keyword == "CHANNELS" and inside:
             inside.channels = _parse_channels(rest, lines)
-        elif keyword in ("OFFSET", "CHANNELS"):
-            raise lines.error(f"{keyword} outside any joint")
         else:
-            raise lines.error(f"{statement[:40]!r} is not a statement of a BVH hierarchy")
+            where = "in a joint" if inside else "outside any joint"
+            raise lines.error(f"{statement[:40]!r} is not a statement of a BVH hierarchy {where}")
     else:
         raise lines.error("the file stops before MOTION")
     if open_blocks:
@@ -221,10 +218,7 @@ def _block(
     keyword: str, rest: str, parent: int, blocks: list[ParsedJoint], lines: Lines
 ) -> ParsedJoint:
     if keyword == "ROOT" and blocks:
-        raise lines.error(
-            f"a second ROOT, {rest[:40]!r} (the first is {blocks[0].name!r}); "
-            "export one skeleton a file"
-        )
+        raise lines.error(f"a second ROOT, {rest[:40]!r}, after {blocks[0].name!r}: export one rig")
     if keyword != "ROOT" and parent < 0:
         raise lines.error(f"{keyword} {rest[:40]!r} has no parent joint")
     if len(blocks) >= _MOST_JOINTS:
@@ -262,9 +256,9 @@ def _three_numbers(text: str, lines: Lines) -> tuple[float, float, float]:
     try:
         x, y, z = (float(word) for word in lines.with_points(text).split())
     except ValueError:
-        raise lines.error(f"OFFSET {text[:60]!r}; expected three numbers") from None
+        x = y = z = math.nan
     if not all(abs(value) <= LARGEST for value in (x, y, z)):
-        raise lines.error(f"OFFSET {text[:60]!r} is not finite, or over {LARGEST:g}")
+        raise lines.error(f"OFFSET {text[:60]!r}; expected three numbers up to {LARGEST:g}")
     return x, y, z
 
 
@@ -272,9 +266,7 @@ def _parse_channels(text: str, lines: Lines) -> list[str]:
     """Return channels as "Xp" and "Zr", in the file's order."""
     count, *names = text.split() or [""]
     if count != str(len(names)):
-        raise lines.error(
-            f"CHANNELS {text[:80]!r}: a count of {count[:9]!r} for {len(names)} names"
-        )
+        raise lines.error(f"CHANNELS {text[:80]!r}: count {count[:9]!r} for {len(names)} names")
     channels = []
     for name in names:
         axis, kind = name[:1].upper(), name[1:].lower()
@@ -432,19 +424,14 @@ def _line_by_line(
         number, frame = lines.number + index + 1, n_before + len(rows) + 1
         row = [_number(word, lines, number) for word in words]
         if len(row) != n_channels:
-            raise lines.error(
-                f"frame {frame} of {n_frames} has {len(row)} values; the channels need "
-                f"{n_channels}" + (" (is the file cut short?)" * (len(row) < n_channels)),
-                number,
-            )
+            cut = " (is the file cut short?)" if len(row) < n_channels else ""
+            held = f"has {len(row)} values; the channels need {n_channels}{cut}"
+            raise lines.error(f"frame {frame} of {n_frames} {held}", number)
         for column, value in enumerate(row, start=1):
             if not abs(value) <= LARGEST:
                 hint = "" if value == value else "; fill the gap where the file was exported"
-                raise lines.error(
-                    f"value {column} of frame {frame} is {value}; expected a finite number up to "
-                    f"{LARGEST:g}{hint}",
-                    number,
-                )
+                need = f"expected a finite number up to {LARGEST:g}{hint}"
+                raise lines.error(f"value {column} of frame {frame} is {value}; {need}", number)
         rows.append(row)
     return np.array(rows).reshape(-1, n_channels)
 

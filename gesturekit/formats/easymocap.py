@@ -137,10 +137,7 @@ def _files(path: Path) -> dict[int, Path]:
             return files
     if not path.exists():
         raise FormatError(f"{path}: no such file or folder")
-    raise FormatError(
-        f"{path}: no frames of EasyMocap (smpl/000000.json, ...); to read a folder of motions, "
-        "name its files"
-    )
+    raise FormatError(f"{path}: no frames of EasyMocap (smpl/000000.json, ...) in it")
 
 
 def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
@@ -148,10 +145,7 @@ def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
     content = parse_json(read_bytes(file, _MAX_BYTES, FormatError), str(file), FormatError)
     entries = content.get("annots") if isinstance(content, dict) else content
     if not isinstance(entries, list):
-        raise FormatError(
-            f"{file}: {json_in_words(content)}; of JSON, motion is read from EasyMocap's lists of "
-            "people"
-        )
+        raise FormatError(f"{file}: {json_in_words(content)}; expected EasyMocap's list of people")
     people = {}
     for place, entry in enumerate(entries):
         if not isinstance(entry, dict):
@@ -193,10 +187,8 @@ def _check_gaps(path: Path, numbers: np.ndarray, fps: float, max_gap: float) -> 
     widest = int(missing.argmax())
     if missing[widest] > max_gap * fps:
         first, last = numbers[widest] + 1, numbers[widest + 1] - 1
-        raise FormatError(
-            f"{path}: frames {first} to {last} are missing, {(last - first + 1) / fps:.2f} s; cut "
-            f"the recording there, or allow longer gaps (max_gap, now {max_gap:g} s)"
-        )
+        gap = f"{(last - first + 1) / fps:.2f} s; cut it there, or raise max_gap ({max_gap:g} s)"
+        raise FormatError(f"{path}: frames {first} to {last} are missing, {gap}")
 
 
 def _to_motion(

@@ -92,10 +92,8 @@ def blender_command(path: Path) -> list[str]:
     if not program and find_spec("bpy"):
         program = sys.executable
     if not program:
-        raise FormatError(
-            f"{path}: FBX needs Blender, and neither a program `blender` nor the module `bpy` is "
-            f"found: install Blender, name it by {PROGRAM}=/path/to/blender, or use glb"
-        )
+        how = f"install it, name it by {PROGRAM}=/path/to/blender, or use glb"
+        raise FormatError(f"{path}: FBX needs Blender (`blender` or `bpy`), not found: {how}")
     if Path(program).name.startswith("python"):
         return [program, str(script)]
     options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python"]

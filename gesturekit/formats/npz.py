@@ -77,14 +77,9 @@ def read_npz(
     with open_archive(path, FormatError) as archive:
         try:
             if "v_template" in archive and "poses" not in archive:
-                raise FormatError(
-                    f"{path}: a body model of the SMPL family, not a motion; give it as "
-                    "--body-model (body_model= in Python) together with a motion"
-                )
+                raise FormatError(f"{path}: a body model, not a motion; give it as --body-model")
             if all(key in archive for key in ("values", "times", "spec")):
-                raise FormatError(
-                    f"{path}: speech features (keys 'values', 'times', 'spec'), not a motion"
-                )
+                raise FormatError(f"{path}: speech features (keys values, times), not a motion")
             keys = "'poses', 'trans', 'mocap_frame_rate'"
             if "gk_version" in archive:
                 keys = _NATIVE
@@ -145,11 +140,8 @@ def write_npz(
         values |= to_amass(posed, up)
         if posed.skeleton.n_joints == RIGS["smplx"] and motion.fps % 30:
             effect = "refuses" if motion.fps < 30 else "plays at the wrong speed"
-            warnings.warn(
-                f"{path}: the SMPL-X add-on of Blender {effect} {motion.fps:g} fps; write a "
-                "multiple of 30 (--fps 30, or gesturekit convert --fps 30)",
-                stacklevel=2,
-            )
+            text = f"the SMPL-X add-on of Blender {effect} {motion.fps:g} fps"
+            warnings.warn(f"{path}: {text}; write a multiple of 30 (--fps 30)", stacklevel=2)
     with atomic_write(path) as temporary, temporary.open("wb") as out:
         np.savez(out, **values)
 
@@ -192,10 +184,7 @@ def _from_native(archive: Archive) -> Motion:
     version = archive["gk_version"]
     if version.shape or version.dtype.kind not in "iu" or version != NPZ_FORMAT:
         shown = version if not version.shape else f"an array of shape {version.shape}"
-        raise FormatError(
-            f"key 'gk_version' is {shown}; this version of gesturekit reads motion format "
-            f"{NPZ_FORMAT}"
-        )
+        raise FormatError(f"key 'gk_version' is {shown}; this gesturekit reads {NPZ_FORMAT}")
     names = tuple(archive.texts("names", _MAX_JOINTS))
 
     def by_joint(joints_key: str, key: str, values: Any) -> list[tuple[str, Any]]:
@@ -245,10 +234,8 @@ def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
     """Return the joint indices in the array `key`, each at least `lowest` and below `stop`."""
     values = archive[key]
     if values.dtype.kind not in "iu" or values.ndim != 1 or len(values) > _MAX_JOINTS:
-        raise FormatError(
-            f"key {key!r} has shape {values.shape} of {values.dtype}; expected up to "
-            f"{_MAX_JOINTS} joint indices in one dimension"
-        )
+        held = f"shape {values.shape} of {values.dtype}"
+        raise FormatError(f"key {key!r} has {held}; expected up to {_MAX_JOINTS} joint indices")
     if len(values) and not lowest <= int(values.min()) <= int(values.max()) < stop:
         raise FormatError(f"key {key!r} holds a joint index outside {lowest} to {stop - 1}")
     return values.tolist()

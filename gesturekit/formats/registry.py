@@ -74,7 +74,7 @@ FORMATS = (
     Format(".html", None, "viewer:write_html", writes=_BODY | {"framing"}),
     Format(".mp4", None, "viewer:write_video", writes=_BODY | {"framing", "size", "fps"}),
     *(Format(suffix, None, _PICTURE, writes={"body"}) for suffix in (".png", ".svg", ".pdf")),
-    Format(".obj", None, "formats.smpl:write_obj", writes={"body_model", "frame"}),
+    Format(".obj", None, "formats.smpl:write_obj", writes={"body_model"}),
 )
 """All formats, in the order in which messages and help list them."""
 
@@ -126,11 +126,10 @@ def _function(
     known_options = _keywords(table[suffix])
     for option in set(options).difference(known_options):
         others = ", ".join(other for other in table if option in _keywords(table[other]))
-        raise FormatError(
-            f"{path}: {suffix} has no option {option!r} to {verb} it with, "
-            f"{f'only {others}' if others else 'nor has any other format'}; "
-            f"{suffix} has {', '.join(known_options) or 'no options'}"
-        )
+        only = f"only {others}" if others else "nor has any other format"
+        known = ", ".join(known_options) or "no options"
+        what = f"{suffix} has no option {option!r} to {verb} it with"
+        raise FormatError(f"{path}: {what}, {only}; {suffix} has {known}")
     return load_function(table[suffix])
 
 

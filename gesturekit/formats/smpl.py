@@ -141,12 +141,8 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
     expressions = None if old.n_joints == 55 else motion.expressions
     if (old.n_joints == 55) != (n_joints == 55):
         if shape.betas:
-            warnings.warn(
-                "betas of SMPL and SMPL-H mean nothing in SMPL-X, nor its betas in theirs: they "
-                "are left out, and readers see an average body; keep the rig, or choose one of its "
-                "kind (--rig smpl, smplh or smplx)",
-                stacklevel=2,
-            )
+            text = "betas of SMPL and SMPL-H mean nothing in SMPL-X, nor its betas in theirs"
+            warnings.warn(f"{text}: left out (--rig smpl, smplh or smplx)", stacklevel=2)
         shape = BodyShape(gender=shape.gender)
     rig = replace(rig, body_shape=shape)
     info = dict(motion.info)
@@ -170,16 +166,12 @@ def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> 
     """
     body = BodyModel.of(body_model, motion.skeleton)
     if body.n_joints not in N_JOINTS or body.parents != smpl_skeleton(body.n_joints).parents:
-        raise FormatError(
-            f"{body.source}: a model of {body.n_joints} joints, not of the SMPL family"
-        )
+        raise FormatError(f"{body.source}: {body.n_joints} joints, not of the SMPL family")
     motion = as_smpl(motion, body.n_joints)
     known, had = body.shapes.shape[-1], len(motion.skeleton.body_shape.betas)
     if had > known:
-        warnings.warn(
-            f"{body.source}: a model of {known} betas for a body of {had}; the others are ignored",
-            stacklevel=2,
-        )
+        text = f"a model of {known} betas for a body of {had}; the others are ignored"
+        warnings.warn(f"{body.source}: {text}", stacklevel=2)
     return on_body(motion, body.rig(motion.skeleton))
 
 
@@ -255,10 +247,7 @@ class Rig:
                 raise MotionError(f"the parts of {name} are fixed; leave out {', '.join(parts)}")
             return cls(name, smpl_skeleton(RIGS[name]))
         if not Path(name).exists():
-            raise FormatError(
-                f"rig {name!r}: no such file; give a motion file that has the rig, or one of "
-                f"{', '.join(RIGS)}"
-            )
+            raise FormatError(f"rig {name!r}: no such file; expected one, or {', '.join(RIGS)}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NoAnimationWarning)  # a rest pose is enough
             motion = Motion.load(name)
@@ -303,10 +292,7 @@ def write_obj(
         FormatError: no body model, or no such frame.
     """
     if body_model is None:
-        raise FormatError(
-            f"{path}: an .obj file holds a body mesh, which a motion has not: name a body model "
-            "(--body-model SMPLX_NEUTRAL.npz)"
-        )
+        raise FormatError(f"{path}: an obj needs a body model (--body-model SMPLX_NEUTRAL.npz)")
     if not -motion.n_frames <= frame < motion.n_frames:
         raise FormatError(f"{path}: frame {frame} of a motion of {motion.n_frames} frames")
     frame %= motion.n_frames

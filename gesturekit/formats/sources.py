@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from audio_features.archive import open_archive
@@ -284,32 +285,22 @@ def writer_options(formats: Sequence[str], options: Mapping[str, Any]) -> dict[s
 
 def refuse_unused_options(
     read: Mapping[str, Any],
-    write: Mapping[str, Any],
-    body_model: str | os.PathLike[str] | None,
     sources: Iterable[Path],
-    formats: Iterable[str],
+    write: Mapping[str, Any] = MappingProxyType({}),
+    formats: Iterable[str] = (),
+    body_model: str | os.PathLike[str] | None = None,
 ) -> None:
     """Refuse options that no reader of the sources and no writer of the formats has.
 
     Raises:
         ConfigError: an option would have no effect.
     """
-    reads = {format_of(path) for path in sources}
+    reads = READ_OPTIONS, {format_of(path) for path in sources}
     writes = WRITE_OPTIONS, {f".{name}" for name in formats}
-    refuse_unused_read_options(read, reads)
+    _refuse_unused([name for name in read if name not in _OF_ANY_FORMAT], "read", reads)
     _refuse_unused(write, "written", writes)
     if body_model is not None:
-        _refuse_unused(["body_model"], "converted", (READ_OPTIONS, reads), writes)
-
-
-def refuse_unused_read_options(options: Mapping[str, Any], formats: set[str]) -> None:
-    """Refuse options of `load` that no reader of these formats (suffixes) has.
-
-    Raises:
-        ConfigError: an option would have no effect.
-    """
-    names = [name for name in options if name not in _OF_ANY_FORMAT]
-    _refuse_unused(names, "read", (READ_OPTIONS, formats))
+        _refuse_unused(["body_model"], "converted", reads, writes)
 
 
 def _refuse_unused(
@@ -327,10 +318,8 @@ def _refuse_unused(
         fitting = [form for table, _ in uses for form, known in table.items() if name in known]
         if not any(name in table.get(form, ()) for table, used in uses for form in used):
             option = f"--{_IN.get(name, name) if verb == 'read' else name}".replace("_", "-")
-            raise ConfigError(
-                f"{option} is an option of {', '.join(dict.fromkeys(fitting))}; only "
-                f"{', '.join(sorted(formats))} is {verb}"
-            )
+            of, only = ", ".join(dict.fromkeys(fitting)), ", ".join(sorted(formats))
+            raise ConfigError(f"{option} is an option of {of}; only {only} is {verb}")
 
 
 def describe_axes(info: Mapping[str, Any], guessed: str) -> list[str]:

@@ -25,7 +25,6 @@ from gesturekit.motion.skeleton import FARTHEST
 from gesturekit.wording import did_you_mean
 
 _MOST_BYTES = 32 << 20
-_MOST_NAMES = 1000  # different names of events
 _LONGEST_NAME = 80  # characters
 _DAY = 24 * 3600.0  # seconds
 _SECONDS = 0.0, 7 * _DAY, "seconds, 0 or more"
@@ -63,9 +62,8 @@ def read_table(
                 names = _names(where, row, columns, optional)
                 continue
             if len(row) != len(names):
-                raise FormatError(
-                    f"{where}: {len(row)} values; expected {len(names)} ({','.join(names)})"
-                )
+                held = f"{len(row)} values; expected {len(names)} ({','.join(names)})"
+                raise FormatError(f"{where}: {held}")
             yield where, {name: cell.strip() for name, cell in zip(names, row, strict=True)}
     except csv.Error as error:
         raise FormatError(f"{path}, line {rows.line_num}: not a CSV table ({error})") from None
@@ -130,19 +128,11 @@ def load_events(path: str | os.PathLike[str]) -> tuple[Event, ...]:
         FormatError: the file is missing, too large, or not such a table; with its line.
     """
     events: list[Event] = []
-    names: set[str] = set()
     for where, cells in read_table(Path(path), ("time", "name"), ("duration",)):
         name = cells["name"]
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
-            raise FormatError(
-                f"{where}: name is {name[:40]!r}; expected 1 to {_LONGEST_NAME} printable "
-                "characters"
-            )
-        names.add(name)
-        if len(names) > _MOST_NAMES:
-            raise FormatError(
-                f"{where}: more than {_MOST_NAMES} different names; are they names of events?"
-            )
+            need = f"1 to {_LONGEST_NAME} printable characters"
+            raise FormatError(f"{where}: name is {name[:40]!r}; expected {need}")
         time = _number(where, "time", cells["time"], *_SECONDS)
         duration = _number(where, "duration", cells.get("duration") or "0", *_SECONDS)
         events.append(Event(time, name, duration))
@@ -164,9 +154,7 @@ def as_root_path(path: str | os.PathLike[str] | RootPath | Motion, scale: float 
         return RootPath.of(path)
     if isinstance(path, (str, os.PathLike)):
         return load_root_path(path, scale)
-    raise ModelError(
-        f"path is a {type(path).__name__}; give a RootPath, a Motion, or the name of a file"
-    )
+    raise ModelError(f"path is a {type(path).__name__}; give a RootPath, a Motion, or a file")
 
 
 def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath:
@@ -189,18 +177,14 @@ def load_root_path(path: str | os.PathLike[str], scale: float = 1.0) -> RootPath
     if path.is_dir() or path.suffix.lower() in READABLE:
         return RootPath.of(Motion.load(path))
     if path.suffix.lower() != ".csv":
-        raise FormatError(
-            f"{path}: cannot read a path from {path.suffix or 'a file without suffix'}; expected "
-            f"{', '.join(READABLE)}, or .csv with the columns {','.join(_PATH)}"
-        )
+        known = f"{', '.join(READABLE)}, or .csv with the columns {','.join(_PATH)}"
+        raise FormatError(f"{path}: no path is read from {path.suffix!r}; expected {known}")
     times, x, z, *angles = _path_columns(path)
     fps = _frame_rate(path, times)
     n_frames = int(np.floor(times[-1] * fps + 0.5)) + 1
     if n_frames > _MAX_FRAMES:
-        raise FormatError(
-            f"{path}: {times[-1]:g} s at {fps:.6g} fps are {n_frames} frames of a path; are the "
-            "times seconds?"
-        )
+        long = f"{times[-1]:g} s at {fps:.6g} fps are {n_frames} frames"
+        raise FormatError(f"{path}: {long}; are the times seconds?")
     at = np.arange(n_frames) / fps
     places = np.stack([np.interp(at, times, x), np.interp(at, times, z)], axis=-1)
     try:
@@ -224,16 +208,11 @@ def _path_columns(path: Path) -> np.ndarray:
         if not values and abs(numbers[0]) > 1e-9:
             raise FormatError(f"{where}: the first time is {numbers[0]:g}; a path begins at 0 s")
         if values and numbers[0] <= values[-1][0]:
-            raise FormatError(
-                f"{where}: time {numbers[0]:g} does not come after {values[-1][0]:g}; rows must "
-                "be in order of time"
-            )
+            order = f"time {numbers[0]:g} does not come after {values[-1][0]:g}"
+            raise FormatError(f"{where}: {order}")
         values.append(numbers)
     if len(values) < 2:
-        raise FormatError(
-            f"{path}: {len(values)} row{'s' if len(values) != 1 else ''} below the names of the "
-            "columns; a path needs at least two"
-        )
+        raise FormatError(f"{path}: {len(values)} rows of a path; at least two are needed")
     return np.array(values).T
 
 
@@ -274,8 +253,7 @@ def load_semantics(path: Path) -> list[tuple[float, float, float]]:
     except csv.Error as error:
         raise FormatError(f"{path}: cannot be read ({error})") from error
     except (IndexError, ValueError):
-        raise FormatError(
-            f"{path}: line {rows.line_num}: {' '.join(row)[:60]!r}: expected name, start, end, "
-            "duration (seconds) and score (0 to 1), separated by tabs"
-        ) from None
+        text, need = " ".join(row)[:60], "name, start, end, duration and score, by tabs"
+        where = f"{path}: line {rows.line_num}"
+        raise FormatError(f"{where}: {text!r}: expected {need}") from None
     return intervals

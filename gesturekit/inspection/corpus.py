@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.corpus.preparation import prepare
-from gesturekit.corpus.report import Report, amount
+from gesturekit.corpus.report import Report, amount, counts
 from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.formats.sources import VIDEO_SUFFIXES, load
 from gesturekit.inspection.summary import Summary, span
@@ -34,11 +34,11 @@ def inspect_manifest(path: Path) -> Summary:
     rig, broken = _rig(manifest)
     rows = dict(Report(manifest, recordings=(), problems=(), left_over=()).rows())
     rows |= {
-        "speakers": _counts(item.speaker for item in manifest) or "none named",
-        "styles": _counts(item.style for item in manifest) or "none named",
-        "conditions": _counts(name for item in manifest for name in item.conditions),
-        "reading": _counts(reading),
-        "mirrored": _counts("yes" for item in manifest if item.mirror),
+        "speakers": counts(item.speaker for item in manifest) or "none named",
+        "styles": counts(item.style for item in manifest) or "none named",
+        "conditions": counts(name for item in manifest for name in item.conditions),
+        "reading": counts(reading),
+        "mirrored": counts("yes" for item in manifest if item.mirror),
         "rig": rig,
     }
     return _summary(path, manifest, rows, [*_missing(manifest), *_leaks(manifest), *broken])
@@ -93,13 +93,6 @@ def _summary(
     facts = {"path": str(path), "items": len(manifest), "seconds": seconds, **rows}
     title = f"{path}: corpus, {amount(manifest.items)}, {span(seconds)}"
     return Summary("corpus", title, facts, rows, problems)
-
-
-def _counts(values: Iterable[str | None]) -> str:
-    """Return the values with their numbers, the most frequent first."""
-    known = Counter(value for value in values if value is not None)
-    shown = sorted(known.items(), key=lambda entry: (-entry[1], entry[0]))
-    return listed([f"{value} ({count})" for value, count in shown], 12)
 
 
 def _rig(manifest: Manifest) -> tuple[str, list[str]]:

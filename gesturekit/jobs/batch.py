@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from audio_features.atomic import remove_unfinished
+from audio_features.errors import check_values
 from gesturekit.errors import ConfigError, GestureKitError, OutputError
 from gesturekit.jobs.records import (
     ANY_FILE,
@@ -48,13 +49,14 @@ class Execution:
     deadline: float | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.workers <= 1024:
-            raise ConfigError(f"workers is {self.workers}: give at least 1")
         number, count = self.shard
-        if not 1 <= number <= count <= 99_999:
-            raise ConfigError(f"shard {number}/{count}: expected 1/N to N/N")
-        if self.deadline is not None and not self.deadline > 0:
-            raise ConfigError(f"deadline is {self.deadline}: give a positive number of seconds")
+        has_time = self.deadline is None or self.deadline > 0
+        values = (
+            ("workers", self.workers, 1 <= self.workers <= 1024, "at least 1"),
+            ("shard", f"{number}/{count}", 1 <= number <= count <= 99_999, "1/N to N/N"),
+            ("deadline", self.deadline, has_time, "a positive number of seconds"),
+        )
+        check_values(ConfigError, "", values)
 
 
 class Batch:
@@ -272,7 +274,5 @@ def refuse_existing(there: Sequence[Path], reason: str = "") -> NoReturn:
         ConfigError: always; it names the options that allow it.
     """
     verb, them = ("exists", "it") if len(there) == 1 else ("exist", "them")
-    raise ConfigError(
-        f"{listed([*map(str, there)], 3)} {verb} already{reason}; --existing replace overwrites "
-        f"{them}, --existing skip leaves {them}"
-    )
+    how = f"--existing replace overwrites {them}, --existing skip leaves {them}"
+    raise ConfigError(f"{listed([*map(str, there)], 3)} {verb} already{reason}; {how}")

@@ -256,10 +256,7 @@ def _read(path: Path, most: int = _MAX_RECORD) -> dict[str, Any]:
         return {}
     number = values.get("format")
     if isinstance(number, int) and number > FORMAT:
-        raise FormatError(
-            f"{path}: format {number} is newer than this gesturekit reads ({FORMAT}); upgrade it, "
-            "or give another folder"
-        )
+        raise FormatError(f"{path}: format {number}; this gesturekit reads {FORMAT}; upgrade it")
     return values
 
 
@@ -347,9 +344,7 @@ def status_of(out: Path) -> Status:
     state = state_folder(out)
     listed = read_items(state)
     if listed is None:
-        raise ConfigError(
-            f"{out}: no work was done in it; give the output folder of render, features or convert"
-        )
+        raise ConfigError(f"{out}: no work was done in it; give the --out of a batch")
     outcomes: dict[str, FailedItem | None] = {}  # None for an item that is done
     in_hand: list[str] = []
     times: list[tuple[float, float, float]] = []

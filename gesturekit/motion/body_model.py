@@ -127,9 +127,7 @@ class BodyModel:
         """
         path = Path(path)
         if path.suffix.lower() == ".pkl":
-            raise FormatError(
-                f"{path}: a pickle can run code and is never loaded; use the model's .npz file"
-            )
+            raise FormatError(f"{path}: a pickle can run code; use the model's .npz file")
         with open_archive(path, FormatError) as archive:
             return _read(archive, feet)
 
@@ -157,10 +155,8 @@ class BodyModel:
             MotionError: the skeleton's tree differs from the model's.
         """
         if skeleton.parents != self.parents:
-            raise MotionError(
-                f"the body model has {self.n_joints} joints and the rig {skeleton.n_joints}, or "
-                "their hierarchies differ"
-            )
+            both = f"{self.n_joints} joints and the rig {skeleton.n_joints}"
+            raise MotionError(f"the body model has {both}, or their hierarchies differ")
         shape = skeleton.body_shape
         joints = self.joints_at_rest(shape.betas)
         offsets = joints - joints[np.maximum(self.parents, 0)]
@@ -224,10 +220,7 @@ def _file_for(folder: Path, skeleton: Skeleton) -> Path:
         for file in sorted(place.glob("*.npz")):
             if file.stem.upper().startswith(wanted):  # or SMPLX_NEUTRAL_2020.npz
                 return file
-    raise FormatError(
-        f"{folder}: neither it nor its subfolder {family} has {wanted}.npz; add that file, or give "
-        "one .npz file to use for all bodies"
-    )
+    raise FormatError(f"{folder}: no {wanted}.npz, nor in its subfolder {family}; add or name one")
 
 
 @lru_cache(maxsize=3)

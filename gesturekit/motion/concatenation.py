@@ -90,18 +90,14 @@ def _check_rig(first: Motion, motion: Motion, number: int) -> None:
             n for n in (*rig.names, *other.names) if n not in rig.names or n not in other.names
         ]
         what = f"{strange[0]!r} is a joint of one only" if strange else "their parents differ"
-        raise MotionError(
-            f"motion {number} to concatenate has another rig than the first ({other.n_joints} and "
-            f"{rig.n_joints} joints, {what}); {_REMEDY}"
-        )
+        joints = f"{other.n_joints} and {rig.n_joints} joints, {what}"
+        raise MotionError(f"motion {number} has another rig than the first ({joints}); {_REMEDY}")
     apart = np.abs(rig.offsets - other.offsets).max(axis=1)
     apart[0] = 0.0  # replaced by the translation
     worst = int(apart.argmax())
     if apart[worst] > _SAME_OFFSET * body_scale(rig):
-        raise MotionError(
-            f"motion {number} to concatenate has other bones than the first: the offset of "
-            f"{rig.names[worst]!r} differs by {apart[worst]:.3g} m; {_REMEDY}"
-        )
+        differs = f"the offset of {rig.names[worst]!r} differs by {apart[worst]:.3g} m"
+        raise MotionError(f"motion {number} has other bones than the first: {differs}; {_REMEDY}")
 
 
 def _continued(before: Motion, after: Motion, blend: float) -> Motion:

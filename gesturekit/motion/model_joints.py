@@ -163,10 +163,9 @@ class ModelJoints:
         """
         rig, other = self.skeleton, motion.skeleton
         if (other.names, other.parents) != (rig.names, rig.parents):
-            raise MotionError(
-                f"the motion's joints are not those of the model: {other.n_joints} joints from "
-                f"{other.names[0]!r}, the model has {rig.n_joints} from {rig.names[0]!r}"
-            )
+            here = f"{other.n_joints} joints from {other.names[0]!r}"
+            own = f"{rig.n_joints} from {rig.names[0]!r}"
+            raise MotionError(f"the motion's joints are not the model's: {here}, not {own}")
 
     def size_of(self, skeleton: Skeleton | None) -> float:
         """Return the leg length of a performer over that of the rig; 1 for None.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import stat
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -69,20 +68,17 @@ class Motion:
     def __post_init__(self) -> None:
         rotations = np.asarray(self.rotations, dtype=np.float64)
         if rotations.shape[1:] != (self.skeleton.n_joints, 4):
-            raise MotionError(
-                f"rotations have shape {rotations.shape}; a rig of {self.skeleton.n_joints} "
-                f"joints needs (frames, {self.skeleton.n_joints}, 4)"
-            )
+            need = f"(frames, joints, 4) for {self.skeleton.n_joints} joints"
+            raise MotionError(f"rotations have shape {rotations.shape}; expected {need}")
         n_frames = len(rotations)
         if not n_frames:
             raise MotionError("a motion needs at least one frame")
         length = np.linalg.norm(rotations, axis=2, keepdims=True)
         if not (valid := np.isfinite(length) & (length >= 1e-6)).all():
             bad = np.argwhere(~valid)[0]
-            raise MotionError(
-                f"the rotation of joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]} is "
-                f"{rotations[bad[0], bad[1]].tolist()}, not a quaternion"
-            )
+            at = f"joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]}"
+            value = rotations[bad[0], bad[1]].tolist()
+            raise MotionError(f"the rotation of {at} is {value}, not a quaternion")
         # Unit quaternions are not normalised again, so that a file round trip is bit-exact.
         if (off := np.abs(length - 1) > 1e-12).any():
             rotations = np.where(off, rotations / length, rotations)
@@ -133,10 +129,7 @@ class Motion:
             MotionError: not a range, an empty one, or a step below 1.
         """
         if not isinstance(frames, slice):
-            raise MotionError(
-                f"frame {frames!r}: a motion is cut by a range, such as motion[10:40]; "
-                "motion[10:11] is frame 10"
-            )
+            raise MotionError(f"frame {frames!r}: a motion is cut by a range: motion[10:11]")
         step = 1 if frames.step is None else frames.step
         if step < 1:
             raise MotionError(f"step {step}: frames are taken in order, with a step of at least 1")
@@ -162,10 +155,7 @@ class Motion:
             MotionError: no such joint, or not the name of one.
         """
         if not isinstance(joint, str | None):
-            raise MotionError(
-                f"positions({joint!r}): give the name of one joint; positions() has all of them, "
-                "in the order of joint_names"
-            )
+            raise MotionError(f"positions({joint!r}): give the name of one joint, or nothing")
         which = slice(None) if joint is None else self.skeleton.index(joint)
         return forward_kinematics(
             self.rotations, self.translation, self.skeleton, self.joint_translations
@@ -327,10 +317,8 @@ class Motion:
             raise MotionError(f"seconds {start} to {stop} are not a range")
         frames = [math.floor(seconds * self.fps + 0.5) for seconds in (start, last)]
         if not 0 <= frames[0] < frames[1] <= self.n_frames:
-            raise MotionError(
-                f"{start:g} to {last:g} s of a motion of {self.duration:g} s; "
-                f"give seconds within it, at least {1 / self.fps:.3f} apart"
-            )
+            held = f"{start:g} to {last:g} s of a motion of {self.duration:g} s"
+            raise MotionError(f"{held}; give seconds within it, at least {1 / self.fps:.3f} apart")
         return self[slice(*frames)]
 
     @classmethod
@@ -349,7 +337,9 @@ class Motion:
                 have an option.
             MotionError: an invalid height.
         """
-        _refuse_special(Path(path))
+        # Reading a pipe may never end.
+        if not (os.path.isfile(path) or os.path.isdir(path)):  # noqa: PTH112, PTH113 (any text)
+            raise FormatError(f"{path}: no such file, or not a regular file")
         motion = lazy.formats().reader_of(path, options)(path, **options)
         return motion if height is None else motion.with_height(height)
 
@@ -388,15 +378,3 @@ class Motion:
         with tempfile.TemporaryDirectory(prefix="gesturekit-") as folder:
             self.save(file := Path(folder, "a.png"), audio=audio, **{"title": "", **options})
             return Image.open(BytesIO(file.read_bytes()))
-
-
-def _refuse_special(path: Path) -> None:
-    """Raise FormatError for a missing file, pipe or device; reading a pipe may never end."""
-    try:
-        mode = path.stat().st_mode
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file") from None
-    except (OSError, ValueError):
-        return  # the reader reports the error
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise FormatError(f"{path}: not a regular file")

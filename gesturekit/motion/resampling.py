@@ -65,10 +65,8 @@ class Resampler:
         if n_frames < 1:
             raise MotionError(f"n_frames is {n_frames}; a motion needs at least one frame")
         if n_frames * n_joints > _MOST_ROTATIONS:
-            raise MotionError(
-                f"{n_source / source_fps:.6g} s at {fps:g} fps are {n_frames} frames, too many to "
-                f"hold; is the motion's own rate, {source_fps:g} fps, right?"
-            )
+            long = f"{n_source / source_fps:.6g} s at {fps:g} fps are {n_frames} frames"
+            raise MotionError(f"{long}, too many; is the motion at {source_fps:g} fps?")
         last = n_source - 1
         if fps == source_fps:
             self._low = self._high = np.minimum(np.arange(n_frames), last)

@@ -112,10 +112,8 @@ def _kept_parents(skeleton: Skeleton, kept: Sequence[int]) -> dict[int, int]:
         first, second = roots[:2]
         above_first = set(skeleton.ancestors(first))
         common = next(j for j in skeleton.ancestors(second) if j in above_first)
-        raise MotionError(
-            f"no kept joint lies above both {skeleton.names[first]!r} and "
-            f"{skeleton.names[second]!r}; keep {skeleton.names[common]!r} too"
-        )
+        one, two, three = (skeleton.names[j] for j in (first, second, common))
+        raise MotionError(f"no kept joint lies above both {one!r} and {two!r}; keep {three!r} too")
     return above
 
 
@@ -171,10 +169,7 @@ def mirror(
         MotionError: a rig with limbs whose left and right cannot be identified.
     """
     if not can_be_mirrored(skeleton):
-        raise MotionError(
-            "cannot tell left from right by joint names or shape, so that the rig cannot be "
-            "mirrored; name limbs by hand (parts: left_elbow: JOINT, right_elbow: JOINT, ...)"
-        )
+        raise MotionError("cannot tell left from right; name limbs (parts: left_elbow: JOINT, ...)")
     other = _counterparts(skeleton)
     kinds = _reflections(skeleton, rotations, joint_translations, other)
     parent = np.array([kinds[p] if p >= 0 else _WORLD for p in skeleton.parents])

@@ -266,9 +266,8 @@ class RootPath:
             MotionError: the range is empty or exceeds the path.
         """
         if not 0 <= start_frame < stop_frame <= self.n_frames:
-            raise MotionError(
-                f"frames {start_frame} to {stop_frame} of a path of {self.n_frames} frames"
-            )
+            held = f"{start_frame} to {stop_frame} of a path of {self.n_frames} frames"
+            raise MotionError(f"frames {held}")
         part = np.s_[start_frame:stop_frame]
         return replace(self, positions=self.positions[part], headings=self.headings[part])
 
@@ -324,10 +323,8 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
         MotionError: a path of another length or rate.
     """
     if (path.n_frames, path.fps) != (motion.n_frames, motion.fps):
-        raise MotionError(
-            f"the path has {path.n_frames} frames at {path.fps:g} fps; the motion has "
-            f"{motion.n_frames} at {motion.fps:g}"
-        )
+        here = f"{path.n_frames} frames at {path.fps:g} fps"
+        raise MotionError(f"the path has {here}; the motion {motion.n_frames} at {motion.fps:g}")
     root = first_moving_joint([motion]) if root is None else root
     positions, world = motion.positions(), motion.global_rotations()
     shift = np.zeros((motion.n_frames, 3))

@@ -127,12 +127,7 @@ class Skeleton:
         parents = tuple(int(parent) for parent in self.parents)
         orders = tuple(self.rotation_orders) or ("ZXY",) * len(names)
         _check_tree(names, parents)
-        offsets = np.array(self.offsets, dtype=np.float64)
-        if offsets.shape != (len(names), 3):
-            raise MotionError(f"offsets of shape {offsets.shape} for {len(names)} joints")
-        if not (near := np.abs(offsets) <= FARTHEST).all():
-            bad = names[int(np.argwhere(~near)[0, 0])]
-            raise MotionError(f"the offset of joint {bad!r} is not finite, or over {FARTHEST:g} m")
+        offsets = checked("offsets", np.array(self.offsets, float), (len(names), 3), "joint")
         if len(orders) != len(names):
             raise MotionError(f"{len(orders)} rotation orders for {len(names)} joints")
         for name, order in zip(names, orders):
@@ -258,14 +253,9 @@ class Skeleton:
         Raises:
             MotionError: a newer format, a missing field, or an invalid skeleton.
         """
-        if not isinstance(values, Mapping):
-            raise MotionError(f"a skeleton is a mapping of fields, not {type(values).__name__}")
-        version = values.get("format")
-        if version != SKELETON_FORMAT:
-            raise MotionError(
-                f"skeleton format {version!r}; this version of gesturekit reads {SKELETON_FORMAT}"
-            )
         try:
+            if (version := values["format"]) != SKELETON_FORMAT:
+                raise ValueError(f"format {version!r}; we read {SKELETON_FORMAT}")
             return cls(
                 names=tuple(values["names"]),
                 parents=tuple(values["parents"]),
@@ -278,8 +268,6 @@ class Skeleton:
         except KeyError as error:
             raise MotionError(f"the skeleton lacks the field {error}") from None
         except (TypeError, ValueError, AttributeError) as error:
-            if isinstance(error, MotionError):
-                raise
             raise MotionError(f"the skeleton cannot be read: {error}") from None
 
 
@@ -304,24 +292,16 @@ def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
         raise MotionError(f"{len(names)} joint names but {len(parents)} parents")
     seen: set[str] = set()
     for name in names:
-        if not name.strip() or not name.isprintable():
-            raise MotionError(f"{name!r} is not a joint name")
-        if len(name) > LONGEST_NAME:
-            raise MotionError(
-                f"the joint name {name[:40]!r}… has {len(name)} characters; files hold "
-                f"{LONGEST_NAME} at most: rename it"
-            )
+        if not name.strip() or not name.isprintable() or len(name) > LONGEST_NAME:
+            need = f"up to {LONGEST_NAME} printable characters"
+            raise MotionError(f"{name[:40]!r} is not a joint name, {need}")
         if name in seen:
             raise MotionError(f"two joints are called {name!r}; names must be unique")
         seen.add(name)
-    if parents[0] != -1:
-        raise MotionError(f"the first joint, {names[0]!r}, must be the root (parent -1)")
-    for j, parent in enumerate(parents[1:], start=1):
-        if not 0 <= parent < j:
-            raise MotionError(
-                f"joint {names[j]!r} (index {j}) has parent {parent}; the only root is "
-                f"{names[0]!r}, and parents come before children"
-            )
+    for j, parent in enumerate(parents):
+        if not (0 <= parent < j if j else parent == -1):
+            rule = f"the only root (parent -1) is {names[0]!r}, and parents come first"
+            raise MotionError(f"joint {names[j]!r} (index {j}) has parent {parent}; {rule}")
 
 
 GROUND = [0, 2]

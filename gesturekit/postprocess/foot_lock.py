@@ -110,10 +110,8 @@ class _FootLock:
         columns = max(k for foot in self.feet for anchor in foot.anchors for k in anchor.columns)
         self.labels = None if contacts is None else np.asarray(contacts, dtype=np.float64)
         if self.labels is not None and self.labels.shape != (motion.n_frames, columns + 1):
-            raise MotionError(
-                f"contacts have shape {self.labels.shape}; {motion.n_frames} frames of this rig "
-                f"need ({motion.n_frames}, {columns + 1})"
-            )
+            need = f"({motion.n_frames}, {columns + 1})"
+            raise MotionError(f"contacts have shape {self.labels.shape}; expected {need}")
         self.world = self.motion.global_rotations()
         self.positions = self.motion.positions()
         self.radius = _MAX_CORRECTION * leg_length(motion.skeleton)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from audio_features.track import Method
 from gesturekit.errors import SpeechError
@@ -30,7 +29,7 @@ class FeatureExtraction(Processor):
         align: method of resampling; None for linear.
         picture: whether to draw NAME.png as well.
         channel: channel of each file to use, counted from 1; None for the mean of all.
-        cache: precision of cached features, see `audio_features.FeatureCache`; None for no cache.
+        cache: whether slow features are read from the cache, see `audio_features.FeatureCache`.
         existing: "refuse", "skip" or "replace" files that were made with other settings.
     """
 
@@ -40,19 +39,18 @@ class FeatureExtraction(Processor):
     align: Method | None
     picture: bool
     channel: int | None
-    cache: Literal["fp32", "fp16"] | None
+    cache: bool
     existing: str
 
     def __post_init__(self) -> None:
-        settings: dict[str, Any] = {"extractor": self.extractor.spec, "fps": self.fps}
-        settings |= {"align": self.align or "linear", "precision": self.cache or "fp32"}
-        self.settings = json_of(settings)
+        align = self.align or "linear"
+        self.settings = json_of({"extractor": self.extractor.spec, "fps": self.fps, "align": align})
         self.written = {"npz": {}, "png": {}} if self.picture else {"npz": {}}
 
     def trial(self, out: Path) -> Self:
         """Return the same extraction into another folder, without a cache."""
         other = super().trial(out)
-        other.cache = None
+        other.cache = False
         return other
 
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
@@ -94,10 +92,10 @@ class FeatureExtraction(Processor):
     def _extracted(self, wave: Wave) -> FeatureTrack:
         from audio_features import cache_from_environment
 
-        extract = self.extractor.extract
-        if self.cache is not None:
-            extract = partial(cache_from_environment(self.cache).extract, self.extractor)
-        track = extract(wave)
+        if self.cache:
+            track = cache_from_environment().extract(self.extractor, wave)
+        else:
+            track = self.extractor.extract(wave)
         if self.fps is None:
             return track
         n_frames = wave.n_frames(self.fps)

@@ -187,11 +187,9 @@ def _refuse_clashes(tasks: Sequence[Task], out: Path) -> None:
             clashes.append(task)
     if clashes:
         more = f" (and {len(clashes) - 1} more)" if len(clashes) > 1 else ""
-        raise ConfigError(
-            f"{seen[clashes[0].id].source} and {clashes[0].source} would both be written as "
-            f"{out / clashes[0].id}{more}; write them into different folders (a glob such as "
-            "'*.wav' selects one kind), or give each an id in a .jsonl list"
-        )
+        both = f"{seen[clashes[0].id].source} and {clashes[0].source}"
+        where = f"would both be written as {out / clashes[0].id}{more}"
+        raise ConfigError(f"{both} {where}; give a glob such as '*.wav', or ids in a .jsonl list")
 
 
 def _matches_of_glob(pattern: str) -> Iterator[Task]:
@@ -264,10 +262,7 @@ def _scp_line(line: str, where: str) -> tuple[str, str]:
     name, _, audio = line.partition(" ") if " " in line else line.partition("\t")
     audio = audio.strip()
     if audio.endswith("|") or audio.startswith("|"):
-        raise ConfigError(
-            f"{where}: {audio!r} is a command, and commands in a list are never run; write its "
-            "output to a wav and name that"
-        )
+        raise ConfigError(f"{where}: {audio!r} is a command, which is never run; name its wav")
     if not audio:
         raise ConfigError(f"{where}: {line!r}; expected an id and a path")
     return audio, name
@@ -277,7 +272,7 @@ def _json_line(line: str, where: str) -> tuple[str | None, str | None, dict[str,
     try:
         values = json.loads(line)
     except (ValueError, RecursionError):
-        raise ConfigError(f"{where}: not a JSON object: {line[:80]}") from None
+        values = None
     if not isinstance(values, dict):
         raise ConfigError(f"{where}: not a JSON object: {line[:80]}")
     if "schema" in values:
@@ -286,10 +281,10 @@ def _json_line(line: str, where: str) -> tuple[str | None, str | None, dict[str,
         if name not in FIELDS:
             raise ConfigError(f"{where}: unknown field {name!r}; known: {', '.join(FIELDS)}")
         is_valid = isinstance(value, FIELDS[name]) and not isinstance(value, bool)
-        if is_valid and float in FIELDS[name]:
-            is_valid = 0 <= value <= _MAX_SECONDS
-        is_positive = name in ("seconds", "channel")
-        if not is_valid or (is_positive and value <= 0) or (name == "seed" and value < 0):
+        if is_valid and str not in FIELDS[name]:
+            most = _MAX_SECONDS if float in FIELDS[name] else value
+            is_valid = 0 <= value <= most and bool(value or name in ("seed", "start"))
+        if not is_valid:
             raise ConfigError(f"{where}: {name} is {json.dumps(value)[:80]}")
     audio, name = values.pop("audio", None), values.pop("id", None)
     if audio is None and not (name and "seconds" in values):

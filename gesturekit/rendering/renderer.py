@@ -102,9 +102,8 @@ class Renderer(Processor):
         if unknown or not output.formats:
             others = [name for name in unknown if name in WRITABLE]
             convert = f"; gesturekit convert x.bvh x.{others[0]} writes it" if others else ""
-            raise ConfigError(
-                f"format {', '.join(unknown) or '(none)'}: known: {', '.join(RENDERED)}{convert}"
-            )
+            named = ", ".join(unknown) or "(none)"
+            raise ConfigError(f"format {named}: known: {', '.join(RENDERED)}{convert}")
         if "mp4" in output.formats:
             require_encoder()
         self.existing = output.existing

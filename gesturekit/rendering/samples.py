@@ -105,10 +105,8 @@ def sample_lda(
             made += 1
     if not made:
         longest = max((item.duration for item in items), default=0.0)
-        raise ConfigError(
-            f"no recording is as long as a window of {WINDOW_SECONDS:g} s; the longest has "
-            f"{longest:.1f} s. Give another --split or longer recordings, or --protocol multires"
-        )
+        short = f"no recording has {WINDOW_SECONDS:g} s, a window; the longest has {longest:.1f} s"
+        raise ConfigError(f"{short}. Give another --split, or --protocol multires")
 
 
 def sequences_of(folder: Path, audio: Path | None, reading: Mapping[str, Any]) -> list[Item]:
@@ -222,11 +220,9 @@ def _check_styles(model: Model, items: Sequence[Item]) -> None:
     unknown = {str(item.style) for item in items if item.style not in model.styles}
     if model.styles and unknown:
         names = [item.id for item in items if item.style not in model.styles]
-        raise ConfigError(
-            f"style {listed(sorted(unknown), 3)} of {listed(names, 3)}: the model has "
-            f"{', '.join(model.styles)}. A protocol samples each recording in its own style: give "
-            "--corpus, a manifest with the recordings' styles"
-        )
+        whose = f"style {listed(sorted(unknown), 3)} of {listed(names, 3)}"
+        how = "give --corpus, a manifest with the recordings' styles"
+        raise ConfigError(f"{whose}: the model has {', '.join(model.styles)}; {how}")
 
 
 def _controls(model: Model, item: Item, options: SamplingOptions, repeats: int) -> dict[str, Any]:

@@ -46,10 +46,7 @@ def script_json(value: object) -> str:
 def bundled_script(path: Path, what: str) -> str:
     """Return a script of `make setup`; `what` names it in the GestureKitError if it is missing."""
     if not path.is_file():
-        raise GestureKitError(
-            f"{what} is missing: {path} is made when gesturekit is set up. "
-            "In a checkout run `make setup`; an installed package holds it already."
-        )
+        raise GestureKitError(f"{what} is missing: `make setup` makes {path} in a checkout")
     # The HTML parser ends a script at these letters wherever they stand.
     return re.sub(r"</(?=script)", r"<\\/", path.read_text(encoding="utf-8"), flags=re.I)
 

@@ -147,6 +147,21 @@ class SkinnedBody:
         return np.concatenate([turned, places[..., None]], axis=-1).astype(np.float32)
 
 
+def _lit(
+    body: Mannequin | SkinnedBody, time: float, sun: np.ndarray, camera: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (V, 3) in the world and their colours (V, 3) at `time` seconds.
+
+    `sun` (3,) points to the light; `camera` (4, 3) is as in `Camera.at`.
+    """
+    mesh = body.mesh
+    vertices, normals, colours = (np.empty_like(mesh.vertices) for _ in range(3))
+    about = mesh.vertices, mesh.normals, mesh.parts, mesh.weights
+    place(*about, body.transforms(time), vertices, normals)
+    light(normals, mesh.colours, sun, camera[2].astype(np.float32), colours)
+    return vertices, colours
+
+
 def points_at(figure: Figure, time: float) -> np.ndarray:
     """Return the figure's points (P, 3) at `time` seconds, interpolated between its frames."""
     return _between(figure.points, time * figure.fps)
@@ -377,12 +392,8 @@ class Scene:
         height, width = image.shape[:2]
         mesh, camera = self._body.mesh, self._camera.at(time)
         focal = Camera.focal(height)
-        vertices, normals, colours, corners = (np.empty_like(mesh.vertices) for _ in range(4))
-        place(
-            *(mesh.vertices, mesh.normals, mesh.parts, mesh.weights),
-            *(self._body.transforms(time), vertices, normals),
-        )
-        light(normals, mesh.colours, self._sun, camera[2].astype(np.float32), colours)
+        vertices, colours = _lit(self._body, time, self._sun, camera)
+        corners = np.empty_like(vertices)
         self._draw_floor(time, image, (camera, vertices), buffers)
         project(vertices, camera, *(SAMPLES * n for n in (focal, width, height)), corners)
         box = fill(corners, colours, mesh.faces, buffers.depths, buffers.samples)
@@ -443,13 +454,9 @@ class Stills:
         reach = max(1.1 * figure.height, farthest + 0.1 * figure.height)
         far = _AWAY * figure.height
         camera[3] = middle + far * camera[2]
-        vertices, normals, colours, corners = (np.empty_like(mesh.vertices) for _ in range(4))
-        place(
-            *(mesh.vertices, mesh.normals, mesh.parts, mesh.weights),
-            *(self._body.transforms(frame / figure.fps), vertices, normals),
-        )
-        sun, towards = (_LIGHT @ camera[:3]).astype(np.float32), camera[2].astype(np.float32)
-        light(normals, mesh.colours, sun, towards, colours)
+        sun = (_LIGHT @ camera[:3]).astype(np.float32)
+        vertices, colours = _lit(self._body, frame / figure.fps, sun, camera)
+        corners = np.empty_like(vertices)
         project(vertices, camera, 0.5 * n * far / reach, n, n, corners)
         depths, samples = np.zeros((n, n), np.float32), np.zeros((n, n, 3), np.float32)
         fill(corners, colours, mesh.faces, depths, samples)

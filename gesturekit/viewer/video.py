@@ -84,10 +84,8 @@ def require_encoder() -> None:
 
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:
-        raise FormatError(
-            "mp4 is encoded by imageio-ffmpeg: install it with `pip install 'gesturekit[video]'` "
-            f"({error})"
-        ) from None
+        how = f"pip install 'gesturekit[video]' ({error})"
+        raise FormatError(f"mp4 needs imageio-ffmpeg: {how}") from None
 
 
 def encode(

@@ -72,17 +72,6 @@ def test_parts_of_a_stack_are_kept_alone_and_light_ones_not_at_all(tmp_path, wav
     assert cache.contents().entries == 1
 
 
-def test_fp16_agrees_with_itself_and_nearly_with_fp32(tmp_path, wave):
-    slow, cache = Slow(), af.FeatureCache(tmp_path, precision="fp16")
-    first, again = cache.extract(slow, wave), cache.extract(slow, wave)
-    np.testing.assert_array_equal(first.values, again.values)
-    exact = af.FeatureCache(tmp_path).extract(slow, wave)
-    assert slow.asked == 2
-    np.testing.assert_allclose(first.values, exact.values, rtol=5e-4, atol=6e-8)
-    with pytest.raises(af.FeatureError, match="fp8"):
-        af.FeatureCache(tmp_path, precision="fp8")
-
-
 @pytest.mark.parametrize("fault", ["flip", "cut", "empty", "text", "folder"])
 def test_a_damaged_entry_is_made_again(tmp_path, wave, fault, caplog):
     slow, cache = Slow(), af.FeatureCache(tmp_path)

@@ -194,8 +194,6 @@ def test_without_transformers_the_extra_is_named(tmp_path, wavlm_folder, monkeyp
     monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(af.WeightsError, match=r"pip install 'gesturekit\[encoders\]'"):
         af.HuggingFace(tmp_path)
-    with pytest.raises(af.WeightsError, match=r"pip install 'gesturekit\[encoders\]'"):
-        af.WavLM(wavlm_folder, implementation="transformers")
     af.WavLM(wavlm_folder)  # ours needs none
 
 

@@ -29,10 +29,10 @@ def test_a_stream_computes_what_offline_extraction_does(rate):
     difference = (found - mels[: len(found)])[middle][loud]
     # The level is that of voiced frames, without the quieter ones between them.
     assert abs(difference.mean()) < 2.0 and difference.std() < 1.0
-    both = (spectrum.melody().voiced & whole.melody().voiced[: len(found)])[middle]
+    both = (spectrum.melody.voiced & whole.melody.voiced[: len(found)])[middle]
     assert both.mean() > 0.35, "every other fifth of a second has a voice"
     for name in ("f0", "energy"):
-        own, other = getattr(spectrum.melody(), name), getattr(whole.melody(), name)
+        own, other = getattr(spectrum.melody, name), getattr(whole.melody, name)
         own, other = own[middle][both], other[: len(found)][middle][both]
         assert np.median(np.abs(own - other)) < 0.02 * np.abs(other).mean() + 2.0 * (name != "f0")
     assert 0.4 < active[middle].mean() < 0.8
@@ -64,9 +64,8 @@ def test_sound_without_voice_is_silent_and_a_voice_is_not():
 
 def test_features_that_need_the_whole_sound_are_named():
     check_streams(af.Stack([af.LogMel(), af.Prosody(), af.ProsodicRange(), af.Effort(), af.MFCC()]))
-    for wrong, extractor in (("music", af.Music()), ("prosody", af.Prosody(f0="pyin"))):
-        with pytest.raises(af.FeatureError, match=wrong):
-            check_streams(af.Stack([af.Onset(), extractor]))
+    with pytest.raises(af.FeatureError, match="music"):
+        check_streams(af.Stack([af.Onset(), af.Music()]))
 
 
 def harmonic(hertz: float, seconds: float, level_db: float = 0.0, rate: int = 16_000) -> np.ndarray:
@@ -81,7 +80,7 @@ def test_frames_twenty_db_below_the_mean_are_not_part_of_the_level(quieter, loud
     """Half of the voice is 15 dB quieter: the mean is (1 + 0.0316) / 2 of the louder half."""
     sound = np.concatenate([harmonic(160, 1.0), harmonic(160, 1.0, quieter)])
     _, spectrum, active = streamed(sound)
-    energy = spectrum.melody().energy
+    energy = spectrum.melody.energy
     np.testing.assert_allclose(energy[20:90], louder, atol=0.1)
     np.testing.assert_allclose(energy[120:180], louder + quieter, atol=0.1)
     total = 10 * np.log10((10 ** (spectrum.log_mel(40) / 10)).sum(axis=1))
@@ -95,7 +94,7 @@ def test_two_seconds_after_the_last_voiced_frame_sound_is_silence():
     sound = np.concatenate([harmonic(160, 1.0), noise, harmonic(160, 0.5)])
     for block in (700, len(sound)):
         _, spectrum, _ = streamed(sound, block=block)
-        melody = spectrum.melody()
+        melody = spectrum.melody
         last = np.flatnonzero(melody.voiced[:350])[-1]
         assert 98 <= last <= 103
         assert (melody.energy[last + 1 : last + 201] > -30).all()

@@ -41,20 +41,6 @@ def test_mean_averages_what_lies_within_each_motion_frame(ramp):
     np.testing.assert_allclose(mean[10:, 0], line[10:, 0], atol=0.004)
 
 
-@pytest.mark.parametrize(("n_in", "n_out"), [(499, 250), (50, 88), (1, 5), (7, 1)])
-def test_length_ratio_is_torchs_interpolation_with_aligned_corners(n_in, n_out):
-    import torch
-
-    values = np.random.default_rng(0).standard_normal((n_in, 3)).astype(np.float32)
-    given, how = torch.from_numpy(values.T.copy())[None], {"mode": "linear", "align_corners": True}
-    expected = torch.nn.functional.interpolate(given, size=n_out, **how)[0].numpy()
-    track = FeatureTrack(values, 0.0125 + 0.02 * np.arange(n_in))
-    stretched = track.to_rate(25, n_out, method="length_ratio")
-    np.testing.assert_allclose(stretched.values, expected.T, atol=1e-4)
-    with pytest.raises(FeatureError, match="length_ratio"):
-        track.to_rate(25, n_out, method="nearest")
-
-
 @settings(max_examples=30, deadline=None)
 @given(
     n=st.integers(4_800, 100_000),

@@ -72,12 +72,3 @@ def test_files_have_times_or_levels():
     assert parse_level_files("1-4=a.wav,7=b=c.wav") == {"1-4": Path("a.wav"), "7": Path("b=c.wav")}
     with pytest.raises(click.UsageError, match="'7-10'"):
         parse_level_files("1=a.wav,7-10")
-
-
-def test_skip_existing_is_the_same_as_existing_skip(gesturekit, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "motion.bvh").write_text("mine")
-    render = ("render", "--seconds", 0.2, "--model", "demo", "--out", tmp_path / "out")
-    gesturekit(*render).fails(2, "motion.bvh")
-    assert "1 kept" in gesturekit(*render, "--existing", "replace", "--skip-existing").ok().err
-    assert (tmp_path / "out" / "motion.bvh").read_text() == "mine"

@@ -97,7 +97,7 @@ def test_unreadable_files_are_listed_and_left_out(gesturekit, motions, tmp_path)
     fitted = FeatureModel.load(tmp_path / "m")
     assert fitted.training["motions"] == 2 and len(fitted.windows.bones) == 3
     done = gesturekit("fit-features", broken, tmp_path / "none.bvh", "--out", tmp_path / "n")
-    done.fails(2, "none.bvh", "npz")
+    done.fails(2, "none.bvh", "no motion")
     assert not (tmp_path / "n").exists()
 
 

@@ -63,7 +63,7 @@ def compare(folder: Path, count: int, of: Callable[[Path], object] = content) ->
 
 @pytest.mark.parametrize("kills", [2, pytest.param(KILLS, marks=pytest.mark.stress)])
 def test_features(recordings, tmp_path, kills):
-    command = ("features", *sorted(recordings.glob("*.wav")), "--cache", "off", "--out")
+    command = ("features", *sorted(recordings.glob("*.wav")), "--no-cache", "--out")
     compare(tmp_path, killed(kills, *command, tmp_path / "{out}"))
 
 

@@ -69,10 +69,7 @@ def root_with(folder: Path, names: Iterable[str], layout: str) -> Path:
     if len(inside) == 1:
         return inside[0]
     why = "several folders have one" if inside else "not found"
-    raise CorpusError(
-        f"{folder}: {' or '.join(names)}: {why}; give the folder of the {layout} corpus that "
-        "holds it"
-    )
+    raise CorpusError(f"{folder}: {' or '.join(names)}: {why}; give the folder of {layout}")
 
 
 def existing(files: Mapping[str, Path]) -> dict[str, Path]:

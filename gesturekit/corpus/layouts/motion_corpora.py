@@ -111,10 +111,7 @@ def read_trinity(folder: Path) -> Listing:
         CorpusError: another form of the corpus, or none.
     """
     if folder.is_dir() and any(folder.rglob("NaturalTalking_*.bvh")):
-        raise CorpusError(
-            f"{folder}: NaturalTalking files are Trinity's raw form, whose sound and motion do not "
-            "begin together; get the GENEA 2020 form (source/bvh, source/audio, Recording_001 …)"
-        )
+        raise CorpusError(f"{folder}: Trinity's raw form; get GENEA 2020's (source/bvh, audio)")
     root = root_with(folder, ["source", "bvh"], "Trinity")
     root = root / "source" if (root / "source").is_dir() else root
     listing = Listing(fps=60.0)

@@ -89,9 +89,7 @@ def _types(index: Path, listing: Listing) -> dict[str, str]:
     types: dict[str, str] = {}
     for where, row in rows(index, ("id", "type")):
         if row["type"] not in (*_BEAT_SPLITS, "additional"):
-            raise CorpusError(
-                f"{where}: type is {row['type']!r}; expected train, val, test or additional"
-            )
+            raise CorpusError(f"{where}: type is {row['type']!r}, not train, val, test, additional")
         if row["id"] in types:
             raise CorpusError(f"{where}: {row['id']!r} is listed twice; download the file again")
         if _BEAT_ID.fullmatch(row["id"]) is None:

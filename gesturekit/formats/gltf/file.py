@@ -70,10 +70,8 @@ class Gltf:
             if "compression" in name and name != _DRACO:
                 raise self._unread(name)
             if name not in _READ and not name.startswith(_HARMLESS):
-                warnings.warn(
-                    f"{self.path}: needs the extension {name[:60]!r}, which is left out",
-                    stacklevel=3,
-                )
+                text = f"needs the extension {name[:60]!r}, which is left out"
+                warnings.warn(f"{self.path}: {text}", stacklevel=3)
 
     def refuse_compressed_meshes(self) -> None:
         """Raise FormatError for meshes that only a decoder of Draco can read."""
@@ -102,10 +100,7 @@ class Gltf:
             FormatError: less is left.
         """
         if decoded > self._decoded or work > self._work:
-            raise self.error(
-                f"{what} would take more memory or time than a file of {self.size >> 10} KiB "
-                "may: it uses the same data many times, or claims more than it has"
-            )
+            raise self.error(f"{what} would take more memory or time than so small a file may")
         self._decoded -= decoded
         self._work -= work
 
@@ -228,9 +223,8 @@ class Gltf:
         values = parent.get(key, default)
         right = isinstance(values, list) and len(values) == len(default)
         if not right or not all(type(x) in (int, float) and abs(x) <= FARTHEST for x in values):
-            raise self.error(
-                f"{key} is {str(values)[:60]}; expected {len(default)} numbers up to {FARTHEST:g}"
-            )
+            need = f"{len(default)} numbers up to {FARTHEST:g}"
+            raise self.error(f"{key} is {str(values)[:60]}; expected {need}")
         return np.array(values, float)
 
     def buffer(self, index: Any) -> bytes:

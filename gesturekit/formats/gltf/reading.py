@@ -96,10 +96,8 @@ def read_gltf(
     motion.info.update(animation=chosen.name, start=float(times[0]))
     likely, is_sure = guess_unit(motion.skeleton, motion.rotations[0])
     if unit == "m" and is_sure and likely != "m":
-        warnings.warn(
-            f"{path}: its body is as large as if the unit were {likely}, not m: --in-unit {likely}",
-            stacklevel=2,
-        )
+        text = f"its body is as large as if the unit were {likely}, not m: --in-unit {likely}"
+        warnings.warn(f"{path}: {text}", stacklevel=2)
     return motion
 
 
@@ -131,11 +129,9 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
     tree = set(trees.pop(root))
     if trees:
         named = {node: str(entries[node].get("name", node)) for node in (root, *trees)}
-        warnings.warn(
-            f"{gltf.path}: several skeletons; that of {named.pop(root)[:60]} with {len(tree)} "
-            f"joints is read, not {listed([name[:60] for name in named.values()], 4)}",
-            stacklevel=3,
-        )
+        text = f"several skeletons; that of {named.pop(root)[:60]} with {len(tree)} joints is read"
+        others = listed([name[:60] for name in named.values()], 4)
+        warnings.warn(f"{gltf.path}: {text}, not {others}", stacklevel=3)
     extras = {node: gltf.object(entries[node], "extras") for node in tree - {root}}
     marked = {node for node, extra in extras.items() if END_SITE in extra}
     if any(nodes.parents[node] in marked for node in tree):

@@ -120,17 +120,11 @@ class Animation:
         if fps is None:
             fps, fits = _rate(times)
             if not fits:
-                warnings.warn(
-                    f"{gltf.path}: its keys lie between the frames of any common rate: read at "
-                    f"{fps:g} fps; --in-fps sets another",
-                    stacklevel=4,
-                )
+                text = f"of no common rate: read at {fps:g} fps; --in-fps sets another"
+                warnings.warn(f"{gltf.path}: its keys are {text}", stacklevel=4)
         n_frames = np.floor((last - first) * checked_fps(fps) + 0.5) + 1
         if n_frames > most:
-            raise gltf.error(
-                f"{n_frames:.0f} frames; at most {most} are read: cut the animation, or give a "
-                "lower --in-fps"
-            )
+            raise gltf.error(f"{n_frames:.0f} frames, over {most}: cut it, or lower its --in-fps")
         return first + np.arange(n_frames) / fps, fps
 
 
@@ -191,11 +185,8 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
     if moving := {k: end for k, end in seconds.items() if end is not None}:
         longest = max(moving, key=moving.__getitem__)
         if len(moving) > 1:
-            warnings.warn(
-                f"{gltf.path}: of its animations ({shown}), the longest is read, "
-                f"{labels[longest]}; --animation NAME chooses",
-                stacklevel=3,
-            )
+            text = f"the longest is read, {labels[longest]}; --animation NAME chooses"
+            warnings.warn(f"{gltf.path}: of its animations ({shown}), {text}", stacklevel=3)
         return keys.animation(entries[longest], nodes)
     if gltf.path.suffix.lower() != ".vrm":  # avatars have none
         said = f"{gltf.path}: no animation of its skeleton: one frame, at rest"

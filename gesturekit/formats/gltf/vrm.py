@@ -109,11 +109,8 @@ class Colours:
             if isinstance(error, UnidentifiedImageError) or not image:
                 kind = image.get("mimeType") or extensions or "its image"
                 reason = f"{str(kind)[:60]} is none of {', '.join(_FORMATS)}"
-            warnings.warn(
-                f"{glb.path}: texture {printable(name)} cannot be read ({reason}): the base "
-                "colour of its material is used",
-                stacklevel=2,
-            )
+            text = f"texture {printable(name)} cannot be read ({reason}): its base colour is used"
+            warnings.warn(f"{glb.path}: {text}", stacklevel=2)
             return None
 
 
@@ -306,10 +303,7 @@ def _bones_by_name(glb: Gltf) -> dict[int, str]:
         if name in ours.values():
             bones.setdefault(name, node)
     if not bones.keys() >= {ours[bone] for bone in _NEEDED}:
-        raise glb.error(
-            "not a VRM avatar, nor one with Mixamo's names of bones: it does not say which node is "
-            "which bone. Export it as VRM (VRoid Studio, UniVRM, the VRM add-on for Blender)"
-        )
+        raise glb.error("not a VRM avatar, nor Mixamo's names of bones; export it as VRM")
     return {node: name for name, node in bones.items()}
 
 

@@ -226,9 +226,8 @@ def parse_parts(texts: Iterable[str]) -> dict[str, str]:
     for text in texts:
         part, _, joint = text.partition("=")
         if part not in KNOWN_PARTS or not joint:
-            raise MotionError(
-                f"part {text!r}; expected PART=JOINT, PART of {', '.join(KNOWN_PARTS)}"
-            )
+            known = ", ".join(KNOWN_PARTS)
+            raise MotionError(f"part {text!r}; expected PART=JOINT, PART of {known}")
         parts[part] = joint
     return parts
 

@@ -68,9 +68,8 @@ class PartFinder:
         """Read side and bone of each joint from its name, and the parts specified by hand."""
         for key in skeleton.parts:
             if key not in KNOWN_PARTS:
-                raise MotionError(
-                    f"no part is called {key!r}; expected {', '.join(sorted(KNOWN_PARTS))}"
-                )
+                known = ", ".join(sorted(KNOWN_PARTS))
+                raise MotionError(f"no part is called {key!r}; expected {known}")
         self.skeleton = skeleton
         self.by_hand = {key: skeleton.index(name) for key, name in skeleton.parts.items()}
         self.side = [""] * skeleton.n_joints
@@ -354,10 +353,9 @@ class PartFinder:
             if joint is None:
                 self.limbs[part] = shape.joints.get(part)
             elif part in shape.joints and shape.joints[part] != joint:
-                raise MotionError(
-                    f"{problem}: the {part.replace('_', ' ')} is {names[shape.joints[part]]!r} by "
-                    f"the rig's shape, {names[joint]!r} by its name; {by_hand}"
-                )
+                by_shape = f"{names[shape.joints[part]]!r} by the rig's shape"
+                both = f"the {part.replace('_', ' ')} is {by_shape}, {names[joint]!r} by its name"
+                raise MotionError(f"{problem}: {both}; {by_hand}")
         self.missing = []
         return shape
 
@@ -369,10 +367,8 @@ class PartFinder:
         by_hand = self.by_hand.get("head")
         if by_hand is not None:
             if by_hand in in_limbs or chest not in self.skeleton.ancestors(by_hand):
-                raise MotionError(
-                    f"{self.skeleton.names[by_hand]!r} cannot be the head: it is not attached to "
-                    f"{self.skeleton.names[chest]!r} beside the arms"
-                )
+                head, trunk = (self.skeleton.names[joint] for joint in (by_hand, chest))
+                raise MotionError(f"{head!r} cannot be the head: it is not attached to {trunk!r}")
             return by_hand
         middle = [
             j

@@ -231,9 +231,7 @@ class _Shape:
         upper, lower = bones[start], bones[start + 1]
         others = np.delete(bones, [start, start + 1])
         if others.size and others.max() * _CLEARLY > min(upper, lower):
-            raise MotionError(
-                f"no two bones of the limb at {self._name(first[0])!r} are clearly the longest"
-            )
+            raise MotionError(f"the limb at {self._name(first[0])!r} has no two longest bones")
         if max(upper, lower) > _CLEARLY**2 * min(upper, lower):
             raise MotionError(f"the limb at {self._name(first[0])!r} has one long bone, not two")
         return start
@@ -297,10 +295,8 @@ def check_limbs(skeleton: Skeleton, limbs: Mapping[str, int | None], guessed: bo
     taken: dict[int, str] = {}
     for part, joint in known.items():
         if joint in taken:
-            raise MotionError(
-                f"{skeleton.names[joint]!r} cannot be both {taken[joint]} and {part}; "
-                f"name one of them by hand (parts: {part}: JOINT)"
-            )
+            both = f"{skeleton.names[joint]!r} cannot be both {taken[joint]} and {part}"
+            raise MotionError(f"{both}; name one by hand (parts: {part}: JOINT)")
         taken[joint] = part
     for side in SIDES:
         for chain in _CHAINS:
@@ -332,11 +328,9 @@ def _check_lengths(skeleton: Skeleton, known: Mapping[str, int]) -> None:
                 reason = f"bones of {bones[0]:.2f} and {bones[1]:.2f} m"
                 raise _wrong(skeleton, known, parts[1], parts[0], reason)
         if min(whole.values()) > 0 and max(whole.values()) > _SIDES_DIFFER * min(whole.values()):
-            raise MotionError(
-                f"the left {name} would be {whole['left']:.2f} m long, the right one "
-                f"{whole['right']:.2f} m; name its joints by hand "
-                f"(parts: left_{chain[1]}: JOINT, ...)"
-            )
+            long = f"{whole['left']:.2f} m long, the right one {whole['right']:.2f} m"
+            how = f"name its joints by hand (parts: left_{chain[1]}: JOINT, ...)"
+            raise MotionError(f"the left {name} would be {long}; {how}")
 
 
 def _check_sides(skeleton: Skeleton, known: Mapping[str, int]) -> None:
@@ -355,10 +349,8 @@ def _check_sides(skeleton: Skeleton, known: Mapping[str, int]) -> None:
     if not toes or not np.linalg.norm(ahead):
         return
     if all(toe @ ahead < -0.3 * np.linalg.norm(toe) * np.linalg.norm(ahead) for toe in toes):
-        raise MotionError(
-            f"left and right seem exchanged: with {skeleton.names[known['left_hip']]!r} as its "
-            "left hip the rig's toes point backwards"
-        )
+        hip = skeleton.names[known["left_hip"]]
+        raise MotionError(f"with {hip!r} as left hip the toes point backwards: sides exchanged?")
 
 
 def bone_length(skeleton: Skeleton, above: int, below: int) -> float:

@@ -59,11 +59,9 @@ def standing_pose(motion: Motion) -> np.ndarray:
     pose = motion.rotations[int(score.argmax())]
     if not _stands(skeleton, pose):
         knee = f"left knee {parts.legs['left'].knee!r}, " if parts.legs else ""
-        raise MotionError(
-            "the body stands upright neither at rest nor in any frame; are its parts right? "
-            f"Pelvis {parts.pelvis!r}, {knee}left elbow {parts.arms['left'].elbow!r}; if "
-            "not, name them by hand"
-        )
+        taken = f"pelvis {parts.pelvis!r}, {knee}left elbow {parts.arms['left'].elbow!r}"
+        problem = "the body stands upright neither at rest nor in any frame"
+        raise MotionError(f"{problem}; are its parts right ({taken})? Else name them by hand")
     return pose
 
 
