@@ -11,9 +11,8 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import jinja2
 from markupsafe import Markup
@@ -91,6 +90,7 @@ def write_report(
     models, groups = evaluation.models, rows.rows_by_group(evaluation)
     names = ", ".join(model.label for model in models)
     shown = best_and_worst(evaluation, body)
+    patch_metrics, recording_rows = _by_recording(evaluation)
     values = dict(
         evaluation=evaluation,
         models=models,
@@ -103,7 +103,8 @@ def write_report(
         questions=_questions(models, groups.get(HEADLINE, [])),
         groups=groups,
         open_groups=_OPEN,
-        by_recording=_by_recording(evaluation),
+        patch_metrics=patch_metrics,
+        recording_rows=recording_rows,
         plots=Markup(plots_section(all_plots(evaluation))),
         agreement="\n".join(agreement_lines(evaluation)).strip(),
         clip_rows=[(i, clip) for i, m in enumerate(models) for clip in m.clips[:_MOST_CLIPS]],
@@ -197,43 +198,44 @@ def _warnings(evaluation: Evaluation) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class ScoreLine:
-    """Places on the line of a score, which all models share, in pixels.
+class Question:
+    """A column of the three questions, whose scores have places on one line, in pixels.
 
     Attributes:
-        low, high: values at both ends.
+        text: its heading.
+        results: {label of a model: its score}.
+        best: index of the model whose score is bold, or None.
     """
-
-    low: float
-    high: float
-    WIDTH, MARGIN = 260, 6
-
-    @classmethod
-    def of(cls, results: Sequence[MetricResult]) -> ScoreLine:
-        """Return the line on which all models' scores and levels have a place."""
-        levels = [level for result in results for level in result.levels]
-        ends = [level.value + sign * (level.spread or 0.0) for level in levels for sign in (-1, 1)]
-        ends += [result.interval.value for result in results if result.informative]
-        return cls(min(0.0, *ends), max(1e-6, *ends)) if ends else cls(0.0, 1.0)
-
-    def width(self, difference: float) -> str:
-        """Return the length of a difference of values."""
-        return f"{(self.WIDTH - 2 * self.MARGIN) * difference / (self.high - self.low):.1f}"
-
-    def x(self, value: float, beside: float = 0.0) -> str:
-        """Return the place of a value, and of `beside` added to it."""
-        share = (value + beside - self.low) / (self.high - self.low)
-        return f"{self.MARGIN + (self.WIDTH - 2 * self.MARGIN) * share:.1f}"
-
-
-class Question(NamedTuple):
-    """A column of the three questions: its heading, {label: score}, their line and the best."""
 
     text: str
     results: dict[str, MetricResult]
-    line: ScoreLine
-    has_intervals: bool
     best: int | None
+    WIDTH, MARGIN = 260, 6
+
+    @property
+    def has_intervals(self) -> bool:
+        """True if a score has an interval."""
+        return any(result.interval.low is not None for result in self.results.values())
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """Values at both ends of the line, between which all scores and levels lie."""
+        results = self.results.values()
+        levels = [level for result in results for level in result.levels]
+        ends = [level.value + sign * (level.spread or 0.0) for level in levels for sign in (-1, 1)]
+        ends += [result.interval.value for result in results if result.informative]
+        return min([0.0, *ends]), max([1e-6, *ends])
+
+    def width(self, difference: float) -> str:
+        """Return the length of a difference of values."""
+        low, high = self.ends
+        return f"{(self.WIDTH - 2 * self.MARGIN) * difference / (high - low):.1f}"
+
+    def x(self, value: float, beside: float = 0.0) -> str:
+        """Return the place of a value, and of `beside` added to it."""
+        low, high = self.ends
+        share = (value + beside - low) / (high - low)
+        return f"{self.MARGIN + (self.WIDTH - 2 * self.MARGIN) * share:.1f}"
 
 
 def _questions(models: Sequence[ModelResult], headline: Sequence[rows.Row]) -> list[Question]:
@@ -248,29 +250,25 @@ def _questions(models: Sequence[ModelResult], headline: Sequence[rows.Row]) -> l
         key, states = answers[0].key, [answer.state for answer in answers]
         asked = [m for m, state in zip(answered, states) if state != NOT_ASKED and key in m.metrics]
         results = {model.label: model.metrics[key] for model in asked}
-        bare = all(result.interval.low is None for result in results.values())
-        line = ScoreLine.of([*results.values()])
-        questions.append(Question(answers[0].question, results, line, not bare, best.get(key)))
+        questions.append(Question(answers[0].question, results, best.get(key)))
     return questions
 
 
-class RecordingTable(NamedTuple):
-    """Table of the patch metrics by recording: (recording, index of the model, {key: mean})."""
+def _by_recording(
+    evaluation: Evaluation,
+) -> tuple[list[Definition], list[tuple[str, int, dict[str, Interval]]]]:
+    """Return the patch metrics, and (recording, index of the model, {key: mean over samples}).
 
-    definitions: list[Definition]
-    rows: list[tuple[str, int, dict[str, Interval]]]
-
-
-def _by_recording(evaluation: Evaluation) -> RecordingTable:
-    """Return the means over samples of each recording (eq. 18); no rows without samples."""
+    Without samples there are no rows; see eq. 18.
+    """
     models = {i: m for i, m in enumerate(evaluation.models) if m.by_recording}
     tables = [values for model in models.values() for values in model.by_recording.values()]
     sampled = any(interval.n > 1 for values in tables for interval in values.values())
     if not sampled and evaluation.protocol != "multires":
-        return RecordingTable([], [])
+        return [], []
     patches = [d for d in evaluation.definitions() if d.group == PATCHES]
     stems = sorted({stem for model in models.values() for stem in model.by_recording})
-    return RecordingTable(
+    return (
         [d for d in patches if any(d.key in values for values in tables)],
         [(s, i, model.by_recording.get(s, {})) for s in stems for i, model in models.items()],
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from gesturekit.evaluation.definitions import GROUPS, Definition
 from gesturekit.evaluation.results import Evaluation, Interval, Level, MetricResult, ModelResult
@@ -12,19 +11,12 @@ from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.levels import level_name
 from gesturekit.evaluation.statistics.paired import Contest, contests
 
-
-class Arrow(NamedTuple):
-    """Sign of the better direction, and its meaning."""
-
-    sign: str
-    meaning: str
-
-
 ARROWS = {
-    "higher": Arrow("↑", "higher is nearer to the recordings' own value"),
-    "lower": Arrow("↓", "lower is nearer to the recordings' own value"),
-    "reference": Arrow("", "the recordings' own value is the goal"),
+    "higher": ("↑", "higher is nearer to the recordings' own value"),
+    "lower": ("↓", "lower is nearer to the recordings' own value"),
+    "reference": ("", "the recordings' own value is the goal"),
 }
+"""Sign and meaning of the better direction."""
 
 
 def number(value: float) -> str:
@@ -92,8 +84,8 @@ class Row:
         return [result for result in self.results if result is not None]
 
     @property
-    def arrow(self) -> Arrow:
-        """The better direction; none in text where a model is beyond the recordings' own."""
+    def direction(self) -> tuple[str, str]:
+        """Sign and meaning of the better direction; no sign where a model is beyond that value."""
         return ARROWS[self.definition.better if self.contest is None else self.contest.direction]
 
     @property
@@ -119,7 +111,7 @@ class Row:
         values = [escaped(value_text(result)) for result in self.results]
         if self.best is not None:
             values[self.best] = best(values[self.best])
-        arrow = "" if self.contest is None else self.arrow.sign
+        arrow = "" if self.contest is None else self.direction[0]
         own = number(recorded[0]) if recorded else ""
         others = (own, number(max(chance)) if chance else "")
         return [self.definition.title, escaped(arrow), *values, *map(escaped, others)]
