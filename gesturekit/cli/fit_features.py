@@ -66,6 +66,8 @@ def command(
     logging.basicConfig(format="%(message)s")
     if is_left([out / "feature_model.safetensors"], existing):
         return 0
+    if options["weights"] is not None and options["frames"] is not None:
+        raise click.UsageError("--weights has windows of its own: leave --frames out")
     sample, is_complete = _read(reference, options["seed"])
     names: str | list[str] | None = joints
     if joints is not None and joints not in ("body", "upper"):

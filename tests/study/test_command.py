@@ -88,6 +88,9 @@ def test_ratings_of_sliders_are_analysed_by_the_same_command(tmp_path, run):
     assert found["preference"] is None and list(found["by_style"]) == ["fitting?", "natural?"]
     path.write_text("rater,system,clip,value\nu,a,x,1\nu,b,y,2\n")
     run("analyse", path).fails(2, "two systems")
+    lines = ["rater,system,clip,value", *(f"u,s{k},x,{k}" for k in range(2500))]
+    path.write_text("\n".join(lines))
+    run("analyse", path).fails(2, "3123750 comparisons")
 
 
 def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, tmp_path, run):
