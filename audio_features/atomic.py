@@ -81,8 +81,10 @@ def remove_unfinished(path: Path) -> None:
         left.unlink(missing_ok=True)
 
 
-def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Write a safetensors file.
+def write_tensors(
+    path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str] | None = None
+) -> None:
+    """Write a safetensors file, with texts in its header.
 
     Raises:
         OSError: it cannot be written, such as on a full disk.
@@ -92,7 +94,8 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> None:
 
     with atomic_write(path) as temporary:
         try:
-            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary)
+            plain = {name: tensor.contiguous() for name, tensor in tensors.items()}
+            save_file(plain, temporary, dict(metadata or {}))
         except SafetensorError as error:
             # It names the operating system's error only in its text.
             number = re.search(r"os error (\d+)", str(error))

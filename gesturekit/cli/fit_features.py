@@ -49,7 +49,7 @@ def command(
     """Train the autoencoder of the Fréchet gesture distance on your own recordings.
 
     REFERENCE are motion files (bvh, npz) of one rig, or folders of them. Writes
-    feature_model.safetensors and feature_model.json to the output folder, and prints a fingerprint:
+    feature_model.safetensors to the output folder, and prints a fingerprint:
     only distances with the same fingerprint can be compared. Takes minutes on a CPU. Of more than
     300 MB of rotations (70 minutes at 30 fps with 75 joints), a random sample is used.
 
@@ -61,8 +61,10 @@ def command(
     from gesturekit.progress import Progress
 
     logging.basicConfig(format="%(message)s")
-    if is_left([out / f"feature_model.{kind}" for kind in ("safetensors", "json")], existing):
+    if is_left([out / "feature_model.safetensors"], existing):
         return 0
+    if options["weights"] is not None and options["frames"] is not None:
+        raise click.UsageError("--weights has windows of its own: leave --frames out")
     sample, is_complete = _read(reference, options["seed"])
     names: str | list[str] | None = joints
     if joints is not None and joints not in ("body", "upper"):

@@ -9,7 +9,7 @@ _PUBLIC = {
     "metrics.frechet.clip_features": "geometric_features kinetic_features",
     "metrics.frechet.feature_model": "FeatureModel load_extractor",
     "metrics.frechet.frechet": (
-        "FrechetResult div_g div_k fgd fid_g fid_k frechet_distance frechet_result raw_fgd"
+        "FrechetResult clip_diversity fgd fid frechet_distance frechet_result raw_fgd"
     ),
     "metrics.frechet.poses": "PoseWindows",
     "metrics.hands": (

@@ -131,7 +131,7 @@ def _kind_of_folder(folder: Path) -> str:
         return f"a recipe; gesturekit train {folder} trains it" if is_copy(folder) else "run"
     if is_sequence(folder):
         return "motion"
-    if (folder / "feature_model.json").is_file():
+    if (folder / "feature_model.safetensors").is_file():
         return "a feature model of fit-features; give it to evaluate"
     recordings, _ = scan(folder)
     if recordings:

@@ -130,6 +130,8 @@ class StudyConfig:
             raise ConfigError(
                 f"systems: {len(self.systems)} given; design rating shows at most {MOST_SLIDERS}"
             )
+        if self.design == "rating" and self.reasons != "none":
+            raise ConfigError(f"reasons: {self.reasons} is for pairs; design rating asks for none")
         if self.design == "mismatch" and self.sound == "none":
             raise ConfigError("sound: design mismatch asks about the sound; it cannot be none")
         for name, folder in self.systems.items():

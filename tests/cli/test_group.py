@@ -87,9 +87,9 @@ def test_a_manifest_and_a_feature_model_may_be_kept(gesturekit, write_pair, tmp_
     gesturekit(*prepare, "refuse").fails(2, "corpus.jsonl")
     gesturekit(*prepare, "skip").ok()
     assert manifest.read_text() == "mine"
-    (tmp_path / "feature_model.json").write_text("{}")
+    (tmp_path / "feature_model.safetensors").write_text("{}")
     fit = ("fit-features", tmp_path / "in", "--out", tmp_path)
-    gesturekit(*fit).fails(2, "feature_model.json")
+    gesturekit(*fit).fails(2, "feature_model.safetensors")
     gesturekit(*fit, "--existing", "skip").ok()
 
 

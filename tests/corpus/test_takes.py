@@ -2,9 +2,12 @@
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gesturekit.corpus import Item, prepare
 from gesturekit.corpus.recording import Recording
@@ -121,6 +124,13 @@ def test_numbered_motions_that_continue_one_another_are_asked_about(tmp_path, ge
     (said,) = warnings_of(numbered("cut"))
     assert "4 files, perhaps 1 recording" in said and r"'(.*)_\d+'" in said
     assert warnings_of(numbered("other")) == [] == warnings_of(numbered("cut"), "(day)")
+    for k in range(4):  # from rest to rest: each begins as the one before ends, and as it began
+        sway = np.sin(np.pi * np.arange(20) / 19.0)[:, None] * [0.6, 0.0, 0.0]
+        turned = whole.rotations[np.zeros(20, int)].copy()
+        turned[:, 1] = Rotation.from_rotvec((1.0 + k) * sway).as_quat()
+        still = replace(whole[:20], rotations=turned, translation=np.zeros((20, 3)))
+        still.save(tmp_path / "rest" / f"day_{k}.npz")
+    assert warnings_of(numbered("rest")) == []
     (tmp_path / "other" / "day_1.npz").write_bytes(b"")
     assert warnings_of(numbered("other")) == [], "what cannot be read is reported elsewhere"
 

@@ -19,12 +19,11 @@ from gesturekit.evaluation import (
     arm_speed,
     beat_alignment,
     beat_consistency,
+    clip_diversity,
     coverage,
     definitions_of,
-    div_k,
     fgd,
-    fid_g,
-    fid_k,
+    fid,
     foot_skate,
     global_diversity,
     inter_diversity,
@@ -284,9 +283,9 @@ def metrics(generated: list[Motion], reference: list[Motion], model: FeatureMode
     result["intra-diversity"] = intra_diversity(ours)
     result["FGD"] = fgd(generated, reference, model, resamples=0).value
     result["FGD, raw"] = raw_fgd(generated, reference, model.windows).value
-    result["FID_k"] = fid_k(generated, reference, seconds=CLIP, resamples=0).value
-    result["FID_g"] = fid_g(generated, reference, seconds=CLIP, resamples=0).value
-    result["Div_k"] = div_k(generated, reference, seconds=CLIP)
+    result["FID_k"] = fid(generated, reference, seconds=CLIP, resamples=0).value
+    result["FID_g"] = fid(generated, reference, "geometric", seconds=CLIP, resamples=0).value
+    result["Div_k"] = clip_diversity(generated, reference, seconds=CLIP)
     return result
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import nn
 
@@ -131,26 +132,20 @@ def test_a_damaged_model_is_refused(model, tmp_path):
     with pytest.raises(EvaluationError, match="gesturekit fit-features"):
         FeatureModel.load(tmp_path)
     model.save(tmp_path)
-    tensors_file = tmp_path / "feature_model.safetensors"
-    json_file = tmp_path / "feature_model.json"
-    tensors, text = load_file(tensors_file), json_file.read_text(encoding="utf-8")
-    changed = dict(tensors)
-    changed["windows.mean"] = tensors["windows.mean"] + 1e-9
-    save_file(changed, tensors_file)
-    with pytest.raises(EvaluationError, match="feature_model.safetensors.*feature_model.json"):
-        FeatureModel.load(tmp_path)
-    tensors_file.write_bytes(tensors_file.read_bytes()[:1000])
-    with pytest.raises(EvaluationError, match="feature_model.safetensors"):
-        FeatureModel.load(tmp_path)
-    save_file(tensors, tensors_file)
+    path = tmp_path / "feature_model.safetensors"
+    content, tensors = path.read_bytes(), load_file(path)
+    with safe_open(path, "pt") as file:
+        text = file.metadata()["feature_model"]
 
-    def with_windows(**values):
+    def with_windows(**values) -> str:
         record = json.loads(text)
         record["windows"] |= values
         return json.dumps(record)
 
-    for damaged, message in (
-        ("{", "feature_model.json"),
+    for settings, message in (
+        ("{", "damaged"),
+        ("[1]", "damaged"),
+        ("[" * 100_000, "damaged"),
         (text.replace('"format": 1', '"format": 2'), "format 2"),
         (with_windows(n_frames=10**12), r"\b12\b"),
         (with_windows(n_frames=40), "damaged"),
@@ -158,10 +153,18 @@ def test_a_damaged_model_is_refused(model, tmp_path):
         (with_windows(bones=[]), "damaged"),
         (text.replace('"windows": {', '"other": {'), "windows"),
     ):
-        json_file.write_text(damaged, encoding="utf-8")
-        with pytest.raises(EvaluationError, match=message):
+        save_file(tensors, path, {"feature_model": settings})
+        with pytest.raises(EvaluationError, match=message) as refused:
             FeatureModel.load(tmp_path)
-    json_file.write_text(text, encoding="utf-8")
+        assert str(path) in str(refused.value)
+    save_file(tensors | {"windows.mean": tensors["windows.mean"] + 1e-9}, path,
+              {"feature_model": text})  # fmt: skip
+    with pytest.raises(EvaluationError, match="changed since"):
+        FeatureModel.load(tmp_path)
+    path.write_bytes(content[:1000])
+    with pytest.raises(EvaluationError, match="feature_model.safetensors"):
+        FeatureModel.load(tmp_path)
+    path.write_bytes(content)
     assert FeatureModel.load(tmp_path).fingerprint == model.fingerprint
 
 

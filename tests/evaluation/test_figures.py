@@ -1,5 +1,6 @@
 """The figures of a report are those of the public functions, and are pooled as the docs say."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -72,10 +73,14 @@ def test_figures_of_sets(model, motions):
     made, recorded = motions
     found, own = values(model), recorded[::2]
     joints = ev.upper_joints(own[0].skeleton)
-    for key, measure in (("raw_fgd", ev.raw_fgd), ("fid_k", ev.fid_k), ("fid_g", ev.fid_g)):
+    for key, measure in (
+        ("raw_fgd", ev.raw_fgd),
+        ("fid_k", ev.fid),
+        ("fid_g", partial(ev.fid, kind="geometric")),
+    ):
         assert found[key] == pytest.approx(measure(made, own, resamples=0).value, rel=1e-4), key
-    assert found["div_k"] == pytest.approx(ev.div_k(made, own), rel=1e-4)
-    assert model.metrics["div_k"].recording == pytest.approx(ev.div_k(own), rel=1e-4)
+    assert found["div_k"] == pytest.approx(ev.clip_diversity(made, own), rel=1e-4)
+    assert model.metrics["div_k"].recording == pytest.approx(ev.clip_diversity(own), rel=1e-4)
     ours, theirs = ev.motion_windows(made, joints), ev.motion_windows(own, joints)
     assert found["one_nn"] == pytest.approx(ev.two_sample_accuracy(ours, theirs, seed=4))
     assert found["within_reach"] == pytest.approx(100 * ev.within_reach(ours, theirs, seed=4))

@@ -12,10 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
-    div_g,
-    div_k,
-    fid_g,
-    fid_k,
+    clip_diversity,
+    fid,
     frechet_distance,
     frechet_result,
     geometric_features,
@@ -250,14 +248,19 @@ def test_geometric_features_equal_their_definition(wild):
 @pytest.mark.parametrize(
     ("fid", "div", "features", "joints"),
     [
-        (fid_k, div_k, kinetic_features, {"joints": ["LeftHand"]}),
+        (fid, clip_diversity, kinetic_features, {"joints": ["LeftHand"]}),
         (
-            partial(fid_k, kinetic="released"),
-            partial(div_k, kinetic="released"),
+            partial(fid, kinetic="released"),
+            partial(clip_diversity, kinetic="released"),
             partial(kinetic_features, variant="released"),
             {"joints": ["LeftHand"]},
         ),
-        (fid_g, div_g, geometric_features, {}),
+        (
+            partial(fid, kind="geometric"),
+            partial(clip_diversity, kind="geometric"),
+            geometric_features,
+            {},
+        ),
     ],
 )
 def test_features_are_in_units_of_the_references_spread(wild, gesture, fid, div, features, joints):
@@ -309,11 +312,11 @@ def renamed(motion: Motion) -> Motion:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda m: fid_k([m], [m]), r"\b10 s\b"),
+        (lambda m: fid([m], [m]), r"\b10 s\b"),
         (lambda m: raw_fgd([m[:59]], [m]), r"\b2 s\b"),
-        (lambda m: fid_k([renamed(m)], [m], seconds=4.0), "LeftArm"),
+        (lambda m: fid([renamed(m)], [m], seconds=4.0), "LeftArm"),
         (lambda m: kinetic_features(m[:1]), r"\b1 frame"),
-        (lambda m: div_k([m], seconds=8.0), r"\b8 s\b"),
+        (lambda m: clip_diversity([m], seconds=8.0), r"\b8 s\b"),
     ],
 )
 def test_motions_that_cannot_be_compared(gesture, call, message):

@@ -163,6 +163,7 @@ def test_weights_of_geneas_layout_are_taken_instead_of_training(
     for one, other in zip(taken.encode(clips), model.encode(clips), strict=True):
         assert one == pytest.approx(other, abs=1e-5)
     gesturekit(*fit, "--joints", "LeftHand,RightHand", "--out", tmp_path / "x").fails(2, "joints")
+    gesturekit(*fit, "--frames", 60, "--out", tmp_path / "x").fails(2, "--frames")
 
 
 def test_evaluate_takes_beat2s_weights_and_states_their_fingerprint(network, tmp_path, gesturekit):

@@ -291,7 +291,7 @@ def test_other_kinds_of_files_are_recognised(gesture, tmp_path):
         "raters.yaml": "systems:\n  ours: clips\n",
         "recipe/config.yaml": "system: multires\n",
         "recipe/README.md": "Mine\n",
-        "features/feature_model.json": "{}",
+        "features/feature_model.safetensors": "{}",
         "run/data/data.json": "{}",
         "talk.m4a": "\0\1",
         "take.pkl": "\0\1",

@@ -59,6 +59,7 @@ SYSTEMS = "title: x\nsystems: {a: x, b: y}\n"
         ("title: x\nsystems: {a: x, b_Mismatched: y}", ["b_Mismatched"]),
         ("title: x\nsystems: {a: x, b: 3}", ["b", "3"]),
         (SYSTEMS + "design: mismatch\nsound: none", ["sound", "mismatch"]),
+        (SYSTEMS + "design: rating\nreasons: speech", ["reasons", "rating"]),
         (
             f"title: x\ndesign: rating\nsystems: {{{', '.join(f's{k}: x' for k in range(13))}}}",
             ["13", "12"],

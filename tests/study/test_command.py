@@ -45,6 +45,7 @@ def test_a_study_is_analysed_into_words_figures_and_a_page(simulate, tmp_path, r
     assert "<script" not in page and "&lt;script&gt;" in page
     assert not re.search(r"(src|href)=\"(?!data:)", page) and "data:image/svg+xml" in page
     assert "r00007" in page and "1 of 2" in page
+    assert "<td>" in page and '"yes">p &lt; .001<' in page and "p < .001" not in page
     found = json.loads(figures.read_text())
     assert [s["name"] for s in found["preference"]["systems"]] == list(names.values())
     assert len(found["preference"]["pairs"]) == 3
@@ -78,7 +79,7 @@ def test_ratings_of_sliders_are_analysed_by_the_same_command(tmp_path, run):
     pairs = {(p["a"], p["b"]): (p["mean"], p["counts"]) for p in found["preference"]["pairs"]}
     assert pairs["a", "b"] == (20, [0, 4, 0, 0, 0]) and pairs["b", "c"] == (0, [0, 2, 0, 2, 0])
     page = report.read_text(encoding="utf-8")
-    assert "&lt;b&gt;,&quot;fine&quot;" in page and "p < " not in page
+    assert "&lt;b&gt;,&quot;fine&quot;" in page
     assert "Mean rating" in page and "<b>" not in page
     # Two questions are not mixed.
     both = [*lines, *(line.replace("natural", "fitting") for line in lines[1:])]
@@ -88,6 +89,9 @@ def test_ratings_of_sliders_are_analysed_by_the_same_command(tmp_path, run):
     assert found["preference"] is None and list(found["by_style"]) == ["fitting?", "natural?"]
     path.write_text("rater,system,clip,value\nu,a,x,1\nu,b,y,2\n")
     run("analyse", path).fails(2, "two systems")
+    lines = ["rater,system,clip,value", *(f"u,s{k},x,{k}" for k in range(2500))]
+    path.write_text("\n".join(lines))
+    run("analyse", path).fails(2, "3123750 comparisons")
 
 
 def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, tmp_path, run):

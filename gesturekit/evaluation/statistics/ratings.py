@@ -49,6 +49,7 @@ _OF_RATERS = ("checks", "checks_failed", "comment", "seconds")
 _MISSING = ("", "na", "n/a", "nan", "none", "null")
 _MOST = 1e100
 _MOST_QUESTIONS = 100
+_MOST_PAIRS = 3_000_000
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Ratings:
         """Return the comparisons of any two systems that a rater rated for a clip and question.
 
         Raises:
-            EvaluationError: no rater rated two systems for a clip.
+            EvaluationError: no rater rated two systems for a clip, or too many.
         """
         ratings = [
             Rating(self.raters[r], self.clips[c], self.systems[s], self.questions[q], float(value))
@@ -106,6 +107,11 @@ class Ratings:
         pages: dict[tuple[int, ...], list[int]] = {}
         for i, page in enumerate(zip(self.rater, self.clip, self.question, strict=True)):
             pages.setdefault(tuple(map(int, page)), []).append(i)
+        if (n := sum(len(rows) * (len(rows) - 1) // 2 for rows in pages.values())) > _MOST_PAIRS:
+            raise EvaluationError(
+                f"{n} comparisons of two systems that a rater rated for a clip: more than can be "
+                "analysed. Are rater, system and clip the right columns?"
+            )
         kept = [
             _comparison(ratings[i], ratings[j], float(self.seconds[i]))
             for rows in pages.values()

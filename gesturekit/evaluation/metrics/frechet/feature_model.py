@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
+from safetensors import safe_open
 
-from audio_features.atomic import write_tensors, write_text
+from audio_features.atomic import write_tensors
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frechet.autoencoder import (
     PoseAutoencoder,
@@ -36,8 +36,8 @@ STEPS = 2300
 ENOUGH_SECONDS = 600.0
 _RATE, _BETAS = 5e-4, (0.5, 0.999)
 _BATCH = {"genea": 64, "yoon": 128}
-_JSON, _TENSORS = "feature_model.json", "feature_model.safetensors"
-_LARGEST_JSON = 1_000_000  # bytes
+FILE = "feature_model.safetensors"
+_SETTINGS = "feature_model"  # key of the metadata
 
 
 class FeatureModel:
@@ -182,33 +182,32 @@ class FeatureModel:
         return digest.hexdigest()
 
     def save(self, folder: str | Path) -> None:
-        """Write feature_model.safetensors and feature_model.json into a folder."""
-        folder = Path(folder)
+        """Write feature_model.safetensors into a folder, with the settings in its metadata."""
         values = {
             "format": FORMAT,
-            "kind": "feature model",
             "windows": self.windows.to_json(),
             "training": self.training,
             "fingerprint": self.fingerprint,
         }
-        write_tensors(folder / _TENSORS, self._tensors())
-        write_text(folder / _JSON, json.dumps(values, indent=1) + "\n")
+        write_tensors(Path(folder) / FILE, self._tensors(), {_SETTINGS: json.dumps(values)})
 
     @classmethod
     def load(cls, folder: str | Path) -> FeatureModel:
         """Read a feature model from the folder that `save` wrote.
 
         Raises:
-            EvaluationError: a file is missing, damaged or of a newer format, or the files belong to
-                different models.
+            EvaluationError: the file is missing, damaged or of a newer format.
         """
-        folder = Path(folder)
-        values = _read_json(folder / _JSON)
+        path = Path(folder) / FILE
         try:
-            tensors = load_file(folder / _TENSORS)
-        except Exception as error:  # safetensors has an error class of its own
-            raise EvaluationError(f"{folder / _TENSORS}: cannot be read ({error})") from None
-        try:
+            with safe_open(path, "pt") as file:
+                values = json.loads((file.metadata() or {})[_SETTINGS])
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            if values["format"] != FORMAT:
+                raise ValueError(
+                    f"format {values['format']!r}; this gesturekit reads format {FORMAT}, a newer "
+                    "one needs a newer gesturekit"
+                )
             form = values["windows"]
             windows = PoseWindows(
                 variant=form["variant"],
@@ -225,13 +224,15 @@ class FeatureModel:
                 )
             network.load_state_dict({k.removeprefix("network."): v for k, v in tensors.items()})
             model = cls(windows, network, dict(values["training"]))
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            text = " ".join(str(error).split())[:300]
-            raise EvaluationError(f"{folder}: the feature model is damaged ({text})") from None
-        if model.fingerprint != values.get("fingerprint"):
+        except FileNotFoundError:
             raise EvaluationError(
-                f"{folder}: {_TENSORS} does not belong to {_JSON}; fit the model again"
-            )
+                f"{path}: no such file; a feature model is a folder made by gesturekit fit-features"
+            ) from None
+        except Exception as error:  # safetensors has an error class of its own
+            text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            raise EvaluationError(f"{path}: no feature model, or damaged ({text})") from None
+        if model.fingerprint != values.get("fingerprint"):
+            raise EvaluationError(f"{path}: changed since it was fitted; fit the model again")
         return model
 
     def _tensors(self) -> dict[str, torch.Tensor]:
@@ -285,31 +286,6 @@ def _training_windows(
 
 def _parts(clip: np.ndarray) -> tuple[torch.Tensor, ...]:
     return torch.from_numpy(np.ascontiguousarray(clip, dtype=np.float32)).split(512)
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _LARGEST_JSON:
-            raise EvaluationError(
-                f"{path}: {path.stat().st_size} bytes; too large for a feature model"
-            )
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise EvaluationError(
-            f"{path}: no such file; a feature model is a folder made by gesturekit fit-features"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:
-        if isinstance(error, EvaluationError):
-            raise
-        raise EvaluationError(f"{path}: cannot be read ({error})") from None
-    if not isinstance(values, dict) or values.get("kind") != "feature model":
-        raise EvaluationError(f"{path}: not a feature model")
-    if values.get("format") != FORMAT:
-        raise EvaluationError(
-            f"{path}: format {values.get('format')!r}; this gesturekit reads format {FORMAT}. "
-            "A newer format needs a newer gesturekit"
-        )
-    return values
 
 
 Extractor = FeatureModel | SkeletonEncoder

@@ -6,8 +6,8 @@
 - `fgd`: those of an autoencoder of short windows of poses (Yoon et al. 2020). Values can be
   compared if the fingerprint of the autoencoder is the same.
 - `raw_fgd`: the normalised windows themselves (Ahuja et al. 2020).
-- `fid_k`, `fid_g`: kinetic and geometric features of 10 s clips, each divided by its standard
-  deviation in the reference (Siyao et al. 2022); `div_k`, `div_g`: mean distance of two clips.
+- `fid`: kinetic or geometric features of 10 s clips, each divided by its standard deviation in the
+  reference (Siyao et al. 2022); `clip_diversity`: mean distance of two clips.
 
 Small samples bias all of them upwards: below `SAMPLES_PER_DIMENSION` samples per feature dimension,
 two halves of one set are more than about 5 % of its variance apart. Compare sets of equal size,
@@ -233,9 +233,10 @@ def raw_fgd(
     return _bounded(flat, resamples, seed)
 
 
-def fid_k(
+def fid(
     generated: Sequence[Motion],
     reference: Sequence[Motion],
+    kind: str = "kinetic",
     *,
     seconds: float = CLIP_SECONDS,
     joints: Sequence[str] | None = None,
@@ -243,14 +244,16 @@ def fid_k(
     resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
-    """Return the Fréchet distance on kinetic features of clips; see `kinetic_features`.
+    """Return FID_k or FID_g, the Fréchet distance on features of clips in the reference's spread.
 
     Args:
         generated: motions of one rig, cut into consecutive clips; a remainder is left out.
         reference: motions of the same rig.
+        kind: "kinetic" (`kinetic_features`) or "geometric" (`geometric_features`).
         seconds: length of a clip.
-        joints: names of joints of both sets; by default the body joints of the reference.
-        kinetic: variant of the features.
+        joints: names of joints of both sets, of kinetic features; by default the body joints of
+            the reference.
+        kinetic: variant of the kinetic features.
         resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
@@ -258,113 +261,50 @@ def fid_k(
         EvaluationError: rigs that differ, fewer than two clips, motions shorter than a clip.
 
     Examples:
-        Recordings against themselves, and a body of 10 times the size against them:
+        Recordings against themselves, and a body of 10 times the size against them: geometric
+        features are in units of the body.
 
         >>> recordings = [gk.load("demo").generate(seconds=4)]
-        >>> round(fid_k(recordings, recordings, seconds=1).value, 6)
+        >>> large = [recordings[0].scaled(10)]
+        >>> round(fid(recordings, recordings, seconds=1).value, 6)
         0.0
-        >>> fid_k([recordings[0].scaled(10)], recordings, seconds=1).value > 100
+        >>> fid(large, recordings, seconds=1).value > 100
         True
-    """
-    return _fid("kinetic", generated, reference, seconds, joints, resamples, seed, kinetic)
-
-
-def fid_g(
-    generated: Sequence[Motion],
-    reference: Sequence[Motion],
-    *,
-    seconds: float = CLIP_SECONDS,
-    resamples: int = 100,
-    seed: int = 0,
-) -> FrechetResult:
-    """Return the Fréchet distance on geometric features of clips; see `fid_k`.
-
-    Examples:
-        Recordings against themselves; lengths are in units of the body, so its size does not count:
-
-        >>> recordings = [gk.load("demo").generate(seconds=4)]
-        >>> round(fid_g([recordings[0].scaled(2)], recordings, seconds=1).value, 6)
+        >>> round(fid(large, recordings, "geometric", seconds=1).value, 6)
         0.0
     """
-    return _fid("geometric", generated, reference, seconds, None, resamples, seed)
+    ours, theirs = clip_features([generated, reference], kind, seconds, joints, kinetic)
+    spread = _spread(np.concatenate(theirs))
+    sets = ([clips / spread for clips in motions] for motions in (ours, theirs))
+    return frechet_result(*sets, resamples=resamples, seed=seed)
 
 
-def div_k(
+def clip_diversity(
     motions: Sequence[Motion],
     reference: Sequence[Motion] | None = None,
+    kind: str = "kinetic",
     *,
     seconds: float = CLIP_SECONDS,
     joints: Sequence[str] | None = None,
     kinetic: str = "corrected",
 ) -> float:
-    """Mean distance of two clips of `motions` in the kinetic features of `fid_k`.
+    """Return Div_k or Div_g, the mean distance of two clips of `motions` in the features of `fid`.
 
     Args:
         motions: motions of one rig, cut into clips.
         reference: whose standard deviations are the units; by default `motions` themselves.
-        seconds: length of a clip.
-        joints: see `fid_k`.
-        kinetic: see `fid_k`.
+        kind, seconds, joints, kinetic: see `fid`.
 
     Raises:
-        EvaluationError: see `fid_k`.
+        EvaluationError: see `fid`.
 
     Examples:
         Two equal clips:
 
         >>> motion = gk.load("demo").generate(seconds=2)
-        >>> div_k([motion, motion], seconds=2)
+        >>> clip_diversity([motion, motion], seconds=2)
         0.0
     """
-    return _diversity("kinetic", motions, reference, seconds, joints, kinetic)
-
-
-def div_g(
-    motions: Sequence[Motion],
-    reference: Sequence[Motion] | None = None,
-    *,
-    seconds: float = CLIP_SECONDS,
-) -> float:
-    """Mean distance of two clips of `motions` in the geometric features; see `div_k`.
-
-    Examples:
-        Two equal clips:
-
-        >>> motion = gk.load("demo").generate(seconds=2)
-        >>> div_g([motion, motion], seconds=2)
-        0.0
-    """
-    return _diversity("geometric", motions, reference, seconds, None)
-
-
-def _fid(
-    kind: str,
-    generated: Sequence[Motion],
-    reference: Sequence[Motion],
-    seconds: float,
-    joints: Sequence[str] | None,
-    resamples: int,
-    seed: int,
-    kinetic: str = "corrected",
-) -> FrechetResult:
-    ours, theirs = clip_features([generated, reference], kind, seconds, joints, kinetic)
-    spread = _spread(np.concatenate(theirs))
-    return frechet_result(
-        [clips / spread for clips in ours],
-        [clips / spread for clips in theirs],
-        resamples=resamples,
-        seed=seed,
-    )
-
-
-def _diversity(
-    kind: str,
-    motions: Sequence[Motion],
-    reference: Sequence[Motion] | None,
-    seconds: float,
-    joints: Sequence[str] | None,
-    kinetic: str = "corrected",
-) -> float:
     from scipy.spatial.distance import pdist
 
     sets = [motions, motions if reference is None else reference]

@@ -18,9 +18,9 @@ from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_
 _SMALLEST_SCALE = 1e-3
 """Lower bound of the standard deviation of a coordinate, metres on the reference body."""
 _SHORTEST_BONE = 1e-4  # metres on the reference body
-_LEAST_FRAMES = 12
+LEAST_FRAMES = 12
 """Fewest frames from which the autoencoder of `feature_model` has any left."""
-_MOST_FRAMES = 1000
+MOST_FRAMES = 1000
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ class PoseWindows:
 
     def __post_init__(self) -> None:
         _require_variant(self.variant)
-        if not _LEAST_FRAMES <= self.n_frames <= _MOST_FRAMES:
+        if not LEAST_FRAMES <= self.n_frames <= MOST_FRAMES:
             raise EvaluationError(
-                f"windows of {self.n_frames} frames; {_LEAST_FRAMES} to {_MOST_FRAMES} can be"
+                f"windows of {self.n_frames} frames; {LEAST_FRAMES} to {MOST_FRAMES} can be"
             )
-        if not (1 <= self.fps <= 1000 and 1 <= self.stride <= _MOST_FRAMES):
+        if not (1 <= self.fps <= 1000 and 1 <= self.stride <= MOST_FRAMES):
             raise EvaluationError(f"windows at {self.fps!r} fps, every {self.stride!r} frames")
         for name in ("mean", "scale"):
             values = np.asarray(getattr(self, name), dtype=np.float64)

@@ -23,7 +23,7 @@ from audio_features.weight_files import plain_tensors, read_file
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.frechet.autoencoder import PoseAutoencoder
-from gesturekit.evaluation.metrics.frechet.poses import motion_name
+from gesturekit.evaluation.metrics.frechet.poses import LEAST_FRAMES, MOST_FRAMES, motion_name
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import matrix_from_quaternion
 
@@ -74,6 +74,8 @@ def pose_autoencoder(path: Path) -> PoseAutoencoder:
                 named[f"{part}.{number}.{name.removeprefix(inside)}"] = tensors[name].float()
     try:
         n_inputs, n_frames = named["encoder.0.weight"].shape[1], len(named["decoder.2.weight"]) // 4
+        if not LEAST_FRAMES <= n_frames <= MOST_FRAMES:
+            raise IndexError(f"windows of {n_frames} frames")
         network = PoseAutoencoder(n_inputs, n_frames, "encoder.16.weight" in named)
         network.load_state_dict(named)
     except (KeyError, IndexError, RuntimeError) as error:
