@@ -1,4 +1,4 @@
-"""Motion that should fail, made from recordings, and the answer of `evaluate` that exposes each.
+"""Motion that should fail, made from recordings, and the answers of `evaluate` to each: a table.
 
 The corpus is a folder of STEM.wav beside STEM.bvh or STEM.npz of one speaker; every STEM that is
 not held out is training motion. Motion of another speaker is retargeted. The recordings themselves
@@ -271,13 +271,16 @@ def main() -> None:
         models = write(options.corpus, options.held_out.split(","), options.other, Path(name))
         models = {label: folder for label, folder in models.items() if folder.exists()}
         found = gk.evaluate(models, Path(name) / "corpus.jsonl", cheap=True)
+    print("| motion | In time with the speech? | Moves like this speaker? | Is it new? |")
+    print("|---|---|---|---|")
     for model in found.models:
-        exposed = [a.question for a in model.answers if a.state != "yes"]
-        print(f"{model.label}: {'; '.join(exposed) or 'passes every answer'}")
+        cells = []
         for answer in model.answers:
             result = model.metrics.get(answer.key)
-            value = "" if result is None else f"{result.interval.value:.2f}"
-            print(f"    {answer.question:27s}{value:>6s}  {answer.state}: {answer.sentence}")
+            value = "" if result is None else f", {result.interval.value:.2f}"
+            broken = "broken" in answer.sentence
+            cells.append("broken" if broken else f"{answer.state}{value}")
+        print(f"| {' | '.join([model.label, *cells])} |")
 
 
 if __name__ == "__main__":

@@ -313,9 +313,13 @@ def test_a_model_of_fewer_joints_has_fréchet_distances_on_those_it_shares(gestu
 
 
 @pytest.mark.parametrize(("seconds", "enough"), [(14.0, False), (34.0, True)])
-def test_fgd_of_a_few_windows_is_not_informative(gesture, tmp_path, seconds, enough):
-    """Windows of 2 s begin every second."""
+def test_a_few_windows_are_not_informative(gesture, tmp_path, seconds, enough):
+    """Windows of 2 s begin every second; patches take 32 s, FID 32 clips of 10 s."""
     gesture(seconds, 10.0).save(tmp_path / "recordings" / "clip.npz")
     gesture(seconds, 10.0, seed=1).save(tmp_path / "made" / "clip.npz")
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings", protocol="lda").models
     assert model.metrics["raw_fgd"].informative == enough
+    assert model.metrics["raw_fgd"].recording is None, "halves are smaller sets"
+    assert not any(model.metrics[key].informative for key in ("fid_k", "fid_g") if seconds > 30)
+    (model,) = evaluate(tmp_path / "made", tmp_path / "recordings", protocol="multires").models
+    assert model.metrics["coverage"].informative == enough

@@ -41,6 +41,15 @@ def test_an_interval_without_bounds_is_students():
     assert (found.low, found.high) == pytest.approx(exact)
 
 
+def test_a_take_that_does_not_move_does_not_open_the_interval():
+    """Its logarithm, -34.5, is taken as that of a tenth of the mean: ln .1 - ln .0083 = 2.485."""
+    speeds = [0.1] * 5 + [1e-15]
+    found = interval_of(speeds, Takes.nested(SIX), SPEEDS)
+    half = stats.t.ppf(0.975, 5) * np.std([0.0] * 5 + [2.485], ddof=1) / np.sqrt(6)
+    ends = np.mean(speeds) * np.exp([-half, half])
+    assert (found.low, found.high) == pytest.approx(tuple(ends), rel=1e-2)
+
+
 def test_samples_are_averaged_in_clips_and_clips_in_takes():
     # Take a: clip 1 with the samples 1 and 3, clip 2 with 8: (2 + 8) / 2 = 5. Take b: 7.
     takes = Takes.nested(["a", "a", "b", "a"], clips=["1", "1", "1", "2"])

@@ -126,7 +126,7 @@ class ClipMetrics:
         synced = results.get("sync")
         if synced is not None and not (synced.note and synced.r):  # else its chance is unknown
             out.values["in_time"] = synced.r - synced.chance_mean
-        elif synced is None and hardly_moves(inputs.motion, inputs.recording):
+        elif synced is None and hardly_moves(inputs.motion, inputs.clip.recording):
             out.values["in_time"] = 0.0
         for key, result in results.items():
             if result is None:
@@ -144,10 +144,12 @@ class _Collected:
         self.values: Values = {}
         self.problems: Problems = []
 
-    def __call__(self, definition: Definition, *sources: ClipInputs | RecordedSound) -> Any | None:
+    def __call__(
+        self, definition: Definition, inputs: ClipInputs, *sound: RecordedSound
+    ) -> Any | None:
         """Compute a metric, or several of one function; turn an error into a problem."""
         try:
-            result = compute(definition, *sources)
+            result = compute(definition, *inputs.sources, *sound)
         except (GestureKitError, AudioFeaturesError) as error:
             if definition.group != POOLED:  # the pooled metric says what is missing, and why
                 self.problems.append((definition.key, str(error)))

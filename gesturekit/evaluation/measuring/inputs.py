@@ -14,7 +14,7 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.definitions import Definition, Variants
-from gesturekit.evaluation.measuring.clips import Clip, RecordedSound, load_recording
+from gesturekit.evaluation.measuring.clips import Clip, load_recording
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
@@ -24,7 +24,6 @@ from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import body_joints
 
 if TYPE_CHECKING:
-    from audio_features import FeatureTrack
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
     from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 
@@ -89,6 +88,8 @@ class ReferenceStatistics:
 class ClipInputs:
     """Inputs of the metrics of one motion of a clip, computed when a metric names them.
 
+    Fields of the clip, the statistics and the variants are inputs as well.
+
     Attributes:
         motion: the motion that is measured: that of the clip, or its recording.
         clip: the clip.
@@ -102,39 +103,14 @@ class ClipInputs:
     variants: Variants
 
     @property
-    def recording(self) -> Motion:
-        """The clip's recording."""
-        return self.clip.recording
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the joints that the motion is measured with."""
-        return self.clip.joints
-
-    @property
-    def semantic(self) -> FeatureTrack | None:
-        """Semantic relevance of the recording over time, or None."""
-        return self.clip.semantic
-
-    @property
-    def limits(self) -> JointLimits | None:
-        """The recordings' ranges of joint rotations; None without joints that can have one."""
-        return self.statistics.limits
-
-    @property
-    def patches(self) -> str:
-        """Variant of the patch metrics."""
-        return self.variants.patches
-
-    @property
-    def threshold(self) -> float | None:
-        """Threshold of coverage; None for that of the variant."""
-        return self.variants.threshold
-
-    @property
     def duration(self) -> float:
         """Length of the motion, seconds."""
         return self.motion.duration
+
+    @property
+    def sources(self) -> tuple[object, ...]:
+        """Objects whose attributes are the inputs, the first that has one of a name."""
+        return self, self.clip, self.statistics, self.variants
 
     @functools.cached_property
     def heights(self) -> np.ndarray:
@@ -198,23 +174,19 @@ class SetInputs:
         return None if self.model is None else self.model.windows
 
 
-def compute(
-    definition: Definition, *sources: ClipInputs | SetInputs | RecordedSound, **constants: Any
-) -> Any | None:
+def compute(definition: Definition, *sources: object) -> Any | None:
     """Return the result of a metric's function; None if an input that it needs is missing.
 
     Args:
         definition: of a metric with a function.
         sources: objects whose attributes are the inputs.
-        constants: values of parameters, for functions that have them.
 
     Raises:
         GestureKitError, AudioFeaturesError: the metric cannot be computed.
     """
     function = definition.load_function()
     parameters = inspect.signature(function).parameters
-    arguments = {name: value for name, value in constants.items() if name in parameters}
-    arguments |= definition.arguments
+    arguments = dict(definition.arguments)
     for name, parameter in parameters.items():
         source = next((s for s in sources if name in vars(s) or hasattr(type(s), name)), None)
         needed = parameter.default is parameter.empty

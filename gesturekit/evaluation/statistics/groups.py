@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-import numpy as np
-
 from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.thresholds import LEAST_IN_STYLE
 
 
@@ -32,12 +29,3 @@ def groups_of(pairs: Sequence[Pair]) -> list[str]:
         else pair.speaker or ""
         for pair in pairs
     ]
-
-
-def by_group(pairs: Sequence[Pair]) -> dict[str, np.ndarray]:
-    """Return {group: (R, n) weights of n clips in R takes}, 0 for clips of other groups.
-
-    They are those of `Takes.of`: with the weight of its takes, each clip counts in its group only.
-    """
-    takes, groups = Takes.of(pairs), np.array(groups_of(pairs))
-    return {name: takes.weights * (groups == name) for name in sorted(set(groups.tolist()))}
