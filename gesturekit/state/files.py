@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +17,23 @@ from gesturekit.state.prediction import WantedMovement
 from gesturekit.state.process import Group, StateProcess
 
 
-def check_drawn(controls: Mapping[str, object], process: StateProcess | None) -> None:
-    """Raise ModelError for controls of the state of movement that have no effect.
+def unused_controls(controls: Mapping[str, object], process: StateProcess | None) -> Iterator[str]:
+    """Yield what is wrong with controls of the state of movement that have no effect.
 
     Args:
         controls: of a request.
         process: of the model; None for a model without a state of movement.
     """
     if controls["state"] is not None and process is None:
-        raise ModelError("state: this model was trained without the state of movement")
+        yield "state: this model was trained without the state of movement"
     for name, unset in (("liveliness", 1), ("mood_seed", None)):
-        value = controls[name]
-        if value == unset:
+        if (value := controls[name]) == unset:
             continue
         if process is None:
-            raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
+            yield f"{name}={value}: only models that draw how lively they are take it"
         for other in ("like", "state"):
             if controls[other] is not None:
-                raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")
+                yield f"{name}={value}: {other} sets the movement; give one of them"
 
 
 def mood_seed(seed: int, controls: Mapping[str, Any]) -> int:

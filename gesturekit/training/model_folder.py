@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
@@ -29,7 +29,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.state.files import check_drawn, state_tensors
+from gesturekit.state.files import state_tensors, unused_controls
 from gesturekit.state.process import StateProcess
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.features import conditioner_tensors
@@ -274,19 +274,15 @@ class TrainedModel:
             return Inputs()
         return Inputs(speech=True, words=speech.takes_words, files=speech.files)
 
-    def check_common(self, controls: Controls, samples: int) -> None:
-        """Check a request's controls that every system has, and its number of motions.
-
-        Raises:
-            ModelError: a speaker that the model does not know, or controls without effect.
-        """
+    def problems(self, controls: Controls, samples: int) -> Iterator[str]:
+        """Yield what is wrong with a request's common controls, and its number of motions."""
         speaker = controls["speaker"]
         if speaker is not None and speaker not in self.speakers:
             known = ", ".join(sorted(self.speakers)) or "its corpus named none"
-            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
+            yield f"speaker={speaker!r}: the model does not know them ({known})"
         if samples < 1:
-            raise ModelError(f"samples={samples}: ask for at least 1")
-        check_drawn(controls, self.state_process)
+            yield f"samples={samples}: ask for at least 1"
+        yield from unused_controls(controls, self.state_process)
 
     @torch.no_grad()
     @gesturekit_errors()

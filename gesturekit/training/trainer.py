@@ -82,6 +82,11 @@ class BaseTrainer:
         resume: bool,
         trial: bool = False,
     ) -> None:
+        if config.windows_per_step < processes.count:
+            raise ConfigError(
+                f"training.batch: {config.windows_per_step} window(s) a step cannot be shared by "
+                f"{processes.count} processes (whole sequences go one at a time)"
+            )
         self.config, self.folder, self.device, self.processes = config, run, device, processes
         folder, data, trainer = run.folder / "data", None, type(self)
         if not resume and processes.is_first:
@@ -95,6 +100,11 @@ class BaseTrainer:
         self.held_out = HeldOutMetrics(config, run, speech=has_speech, styles=styles)
         self.loop = Loop(config, run, processes, self.held_out)
         self.unused = unused_labels(self.data.sources, styles, state=self.config.state)
+        self.set_up()
+
+    def set_up(self) -> None:
+        """Announce the training, and make its networks."""
+        raise NotImplementedError
 
     def announce(self, kind: Sequence[str], contents: Sequence[str], steps: int) -> None:
         """Log the run folder, kind of training, data and held-out recordings, on one process.
