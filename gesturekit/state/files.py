@@ -138,8 +138,8 @@ def load_state(
         fps: frames per second.
         speech_size: S, the number of speech features.
 
-    Raises:
-        ValueError: values out of range, or tensors whose shapes do not fit the model.
+    Raises KeyError, IndexError or ValueError for values out of range, or tensors whose shapes do
+    not fit the model.
     """
     if values is None:
         return None
@@ -148,11 +148,10 @@ def load_state(
     groups = [_group(*group) for group in values["groups"]]
     arrays = {name: tensors[f"state.{name}"].double().numpy() for name in _SHAPES}
     _check(arrays, len(groups), channels, speech_size)
-    if (None, None) not in groups:
-        raise ValueError("state: the quantiles of all recordings are missing")
-    wanted = None
+    wanted, ahead = None, ()
     if values["wanted"] is not None:
         wanted = WantedMovement.load(values["wanted"], tensors, "state", fps)
+        ahead = load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps)
     process = StateProcess(
         channels=channels,
         fps=fps,
@@ -160,12 +159,9 @@ def load_state(
         take=float(np.clip(values["take"], *_TAKE)),
         quantiles=dict(zip(groups, arrays.pop("quantiles"), strict=True)),
         **arrays,
-        ahead=load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps),
+        ahead=ahead,
     )
-    try:
-        process.draw(0, np.zeros((speech_size, 2), np.float32))
-    except (IndexError, ValueError) as error:
-        raise ValueError(f"state: no {speech_size} speech features fit ({error})") from None
+    process.draw(0, np.zeros((speech_size, 2), np.float32))  # fails where something does not fit
     return process
 
 

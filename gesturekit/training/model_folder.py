@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +34,7 @@ from gesturekit.state.process import StateProcess
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.features import conditioner_tensors
 from gesturekit.training.own_rig import on_rig
-from gesturekit.training.run_config import MOST_SMOOTH
+from gesturekit.training.run_config import MOST_SMOOTH, Limits
 from gesturekit.training.run_folder import unfinished
 from gesturekit.training.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
 from gesturekit.wording import counted
@@ -128,9 +128,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], A
     folder = Path(folder)
     config = _read_config(folder, kind)
     try:
-        fps = float(config["fps"])
-        if not 0 < fps < math.inf:
-            raise ValueError(f"fps is {fps}")
+        checked_fps(float(config["fps"]))
         model = assemble(ModelParts(folder, config, *_read_files(folder)))
     except af.FeatureError as error:
         raise ModelError(f"{folder / 'config.yaml'}: features: {error}") from error
@@ -217,7 +215,7 @@ def model_readme(rows: Mapping[str, str], call: str) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class TrainedModel:
+class TrainedModel(ABC):
     """Fields of every trained model; each system adds its own, its networks and its generation.
 
     The value goes whole to whoever samples from it.
@@ -305,9 +303,9 @@ class TrainedModel:
         motion = on_rig(self.representation, motion.resample(self.fps))
         return self._measured_state(self.representation.encode(motion)).T
 
+    @abstractmethod
     def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
         """Return the state of movement (C, T) of motion vectors, in their own units."""
-        raise NotImplementedError
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
@@ -332,13 +330,13 @@ class TrainedModel:
         config, further = self._contents()
         return first | config, rig_values(self.representation, self.speakers), tensors | further
 
+    @abstractmethod
     def _contents(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
         """Return what the system adds to config.yaml and model.safetensors."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _readme(self) -> tuple[dict[str, str], str]:
         """Return the facts of README.md, and the arguments of `generate` in its example."""
-        raise NotImplementedError
 
     def _rates_and_joints(self) -> str:
         rate = "" if self.recorded_fps == self.fps else f", resampled to {self.recorded_fps:g} fps"
@@ -403,8 +401,8 @@ class TrainedModel:
 
         def assemble(parts: ModelParts) -> Any:
             smooth = parts.config["smooth"]
-            if smooth is not None and not 0 <= smooth <= MOST_SMOOTH:
-                raise ValueError(f"smooth is {smooth}, not 0 to {MOST_SMOOTH} s")
+            if smooth is not None:
+                Limits(MOST_SMOOTH).check("smooth", smooth)
             return cls(
                 fps=float(parts.config["fps"]),
                 speakers=read_speakers(parts.rig),
@@ -417,6 +415,7 @@ class TrainedModel:
         return load_model(folder, cls.kind, assemble)
 
     @classmethod
+    @abstractmethod
     def _fields(
         cls,
         parts: ModelParts,
@@ -428,7 +427,6 @@ class TrainedModel:
 
         Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
         """
-        raise NotImplementedError
 
 
 def fitted_tensors(

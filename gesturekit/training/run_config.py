@@ -137,11 +137,6 @@ class RunConfig(Settings):
         """Return the folder of the arrays."""
         return self.arrays or self.corpus.with_suffix(".arrays")
 
-    @property
-    def windows_per_step(self) -> int:
-        """Return the batch size over all processes."""
-        raise NotImplementedError
-
     def lengthened(self, steps: int) -> int:
         """Return a number of training steps times `longer`, at least 1."""
         return max(1, round(steps * self.longer))
