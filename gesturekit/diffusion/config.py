@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 from gesturekit.corpus.layouts import HANDED
-from gesturekit.errors import ConfigError
 from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import (
     Limits,
@@ -54,18 +54,18 @@ class NetworkConfig(Settings):
     """Precision of the angles of the step embedding, which reach 1e6 radians: in float32, as in the
     released code and its checkpoints, their sines are off by up to 0.08."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
         if self.channels % self.heads:
-            raise ConfigError(f"heads: {self.heads} must divide channels, which is {self.channels}")
+            yield f"heads: {self.heads} must divide channels, which is {self.channels}"
         if self.farthest_view < self.nearest_view:
-            raise ConfigError(
+            yield (
                 f"farthest_view: {self.farthest_view} must be at least nearest_view, which is "
                 f"{self.nearest_view}"
             )
         lowest = 1 if self.architecture == "diffwave" else 0
         if not self.dilations or min(self.dilations) < lowest:
-            raise ConfigError(
+            yield (
                 f"dilations: {list(self.dilations)} must be numbers of at least {lowest} for "
                 f"architecture {self.architecture}"
             )
@@ -87,10 +87,10 @@ class NoiseConfig(Settings):
     motion. Clean motion is smooth and low-dimensional, so a small network learns to predict it in a
     fraction of the time."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
         if self.last_beta < self.first_beta:
-            raise ConfigError(
+            yield (
                 f"last_beta: {self.last_beta} must be at least first_beta, which is "
                 f"{self.first_beta}"
             )
@@ -225,21 +225,22 @@ class DiffusionConfig(RunConfig):
     checkpoint_every: Positive[int] = 1000
     """Updates between checkpoints."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
+        yield from super().problems()
         if self.moves_like is not None and self.start_from is not None:
-            raise ConfigError("moves_like: start_from implies it; leave out one of them")
+            yield "moves_like: start_from implies it; leave out one of them"
         for name in ("changes", "foot_sliding", "state"):
             if (weight := getattr(self.training, name)) and self.noise.predict != "clean":
-                raise ConfigError(
+                yield (
                     f"training.{name}: {weight} is for networks that predict the clean motion; "
                     f"noise.predict is {self.noise.predict}"
                 )
         for name in ("dropout_state", "state"):
             if (value := getattr(self.training, name)) and not self.state:
-                raise ConfigError(f"training.{name}: {value} needs state: true")
+                yield f"training.{name}: {value} needs state: true"
         if self.training.foot_sliding and self.path:
-            raise ConfigError(
+            yield (
                 f"training.foot_sliding: {self.training.foot_sliding} is for models that move the "
                 "root themselves; with path: true, set it to 0"
             )
@@ -248,6 +249,11 @@ class DiffusionConfig(RunConfig):
     def updates(self) -> int:
         """Return the number of updates."""
         return self.lengthened(self.training.updates)
+
+    @property
+    def windows_per_step(self) -> int:
+        """Return the batch size over all processes."""
+        return self.training.batch
 
     @property
     def window_frames(self) -> int:

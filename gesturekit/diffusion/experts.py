@@ -167,14 +167,16 @@ def product_members(first: DiffusionModel, controls: DiffusionControls) -> list[
         if not 1 <= len(expert) <= 3:
             raise ModelError(f"expert {number}: expected (model, weight) or + (style,)")
         model, weight, named = (*expert, None, None)[:3]
-        _compatible(first, model, f"expert {number}")
+        if reason := next(_differences(first, model), None):
+            raise ModelError(f"expert {number}: {reason}")
         if isinstance(weight, str):
             weight_track(weight, 1, first.fps)
         inherited = style if _knows(model, style) else None
         members.append(Member(model, weight, inherited if named is None else named))
     if style is not None and not any(member.model.styles for member in members):
         raise ModelError(f"style={style!r}: this model has no styles")
-    _check_guidance(first, controls)
+    if problem := next(_guidance_problems(first, controls), None):
+        raise ModelError(problem)
     for model, _, name in members:
         if model.styles and name is not None:
             style_weights(model.styles, name, 1, model.fps)
@@ -191,37 +193,30 @@ def _knows(model: DiffusionModel, style: str | None) -> bool:
     return True
 
 
-def _check_guidance(first: DiffusionModel, controls: DiffusionControls) -> None:
+def _guidance_problems(first: DiffusionModel, controls: DiffusionControls) -> Iterator[str]:
+    """Yield what is wrong with guidance."""
     guidance, unconditional = controls["guidance"], controls["unconditional"]
     if (gamma := controls["state_guidance"]) is not None and "state" not in first.droppable:
-        raise ModelError(
+        yield (
             f"state_guidance={gamma:g}: this model was trained without dropout of the state "
             "(training.dropout_state above 0)"
         )
     if unconditional is not None:
         if guidance is None:
-            raise ModelError("unconditional: only used with guidance; give guidance too")
-        model = _compatible(first, unconditional, "unconditional")
-        if model.styles and not {"styles", "all"} & set(model.droppable):
-            raise ModelError(
-                "unconditional: that model needs a style too; give one trained with styles: null"
-            )
+            yield "unconditional: only used with guidance; give guidance too"
+        for reason in _differences(first, unconditional):
+            yield f"unconditional: {reason}"
+        if unconditional.styles and not {"styles", "all"} & set(unconditional.droppable):
+            yield "unconditional: that model needs a style too; give one trained with styles: null"
     elif guidance is not None:
         if not first.conditions.columns["state"].start:
-            raise ModelError(f"guidance={guidance:g}: this model has no conditions to guide on")
+            yield f"guidance={guidance:g}: this model has no conditions to guide on"
         if not ("all" in first.droppable or (first.styles and "styles" in first.droppable)):
             what = "style" if first.styles else "condition"
-            raise ModelError(
+            yield (
                 f"guidance={guidance:g}: this model was trained without {what} dropout "
                 f"(training.dropout_{what} above 0); give an unconditional model beside it"
             )
-
-
-def _compatible(first: DiffusionModel, other: Any, who: str) -> DiffusionModel:
-    """Return the other model; raise ModelError if the two cannot be combined."""
-    if reason := next(_differences(first, other), None):
-        raise ModelError(f"{who}: {reason}")
-    return other
 
 
 def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:

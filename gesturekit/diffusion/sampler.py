@@ -53,14 +53,16 @@ def check_controls(
             cannot be combined.
         FormatError: a table of events that cannot be read.
     """
-    model.check_common(controls, samples)
+    problems = [*model.problems(controls, samples)]
     if model.conditions.path:
         facing, in_place = controls["facing"], controls["in_place"]
         for name, value, unset in (("facing", facing, None), ("in_place", in_place, False)):
             if value != unset:
-                raise ModelError(f"{name}={value}: the model follows a path, which places the body")
-    if controls["keep"] is not None and model.conditions.path:
-        raise ModelError("keep: this model follows a path, which moves the body")
+                problems.append(f"{name}={value}: the model follows a path, which places the body")
+        if controls["keep"] is not None:
+            problems.append("keep: this model follows a path, which moves the body")
+    if problems:
+        raise ModelError(problems[0])
     members = product_members(model, controls)
     if controls["events"] is not None:
         check_events(controls["events"], [member.model.conditions for member in members])

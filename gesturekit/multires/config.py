@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from gesturekit.errors import ConfigError
 from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import (
     Limits,
@@ -59,12 +59,12 @@ class NetworkConfig(Settings):
     """Add the coarser level's motion to the output of each generator (eq. 7); false is an
     ablation."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
         if self.kernel % 2 == 0:
-            raise ConfigError(f"kernel: {self.kernel} must be odd")
+            yield f"kernel: {self.kernel} must be odd"
         if not 0 < len(self.channels) <= 64 or not all(0 < n <= 4096 for n in self.channels):
-            raise ConfigError(f"channels: {list(self.channels)} must be 1 to 64 numbers to 4096")
+            yield f"channels: {list(self.channels)} must be 1 to 64 numbers to 4096"
 
     @property
     def n_frames_of_patch(self) -> int:
@@ -182,20 +182,12 @@ class TrainingConfig(Settings):
     silence: ShareBelowOne = 0.1
     """Fraction of windows on random steps whose speech is replaced by silence."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
         if not self.generator_steps and not self.reconstruction_steps:
-            raise ConfigError(
-                "generator_steps and reconstruction_steps are both 0: nothing would be trained"
-            )
+            yield ("generator_steps and reconstruction_steps are both 0: nothing would be trained")
         if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
-            raise ConfigError(f"betas: {list(self.betas)} must be two numbers from 0 to below 1")
-
-    @property
-    def windows_per_step(self) -> int:
-        """Return the batch size over all processes."""
-        # Whole sequences differ in length, so they go one at a time, as in the paper.
-        return self.batch if self.window is not None else 1
+            yield f"betas: {list(self.betas)} must be two numbers from 0 to below 1"
 
 
 @dataclass(frozen=True)
@@ -279,20 +271,27 @@ class MultiresConfig(RunConfig):
     (compiled for CPUs, float32). auto uses numba on a CPU if possible. The environment variable
     GESTUREKIT_BACKEND overrides this setting, and also applies to generation."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
+        yield from super().problems()
         if self.state and (self.z_star_shuffle or self.z_star != "shared"):
-            raise ConfigError("state: true cannot be combined with z_star_shuffle or z_star: full")
+            yield "state: true cannot be combined with z_star_shuffle or z_star: full"
         if self.retrieval and not self.state:
-            raise ConfigError("retrieval: true needs state: true, by which pieces are chosen")
+            yield "retrieval: true needs state: true, by which pieces are chosen"
         if self.losses.state and not self.state:
-            raise ConfigError(f"losses.state: {self.losses.state:g} needs state: true")
+            yield f"losses.state: {self.losses.state:g} needs state: true"
         kinds = {spec.get("kind") for spec in self.features.extractors} if self.features else ()
         if self.state and kinds == {"effort"}:
-            raise ConfigError(
+            yield (
                 "features.extractors: effort alone; with state it is not an input of the network: "
                 "add another kind, such as {kind: prosody}"
             )
+
+    @property
+    def windows_per_step(self) -> int:
+        """Return the batch size over all processes."""
+        # Whole sequences differ in length, so they go one at a time, as in the paper.
+        return self.training.batch if self.training.window is not None else 1
 
     @property
     def uses_arm_speed(self) -> bool:

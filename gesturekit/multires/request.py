@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -183,24 +184,29 @@ def check_controls(model: MultiresModel, controls: MultiresControls, samples: in
         ModelError: a style, level or speaker that the model does not have, level_speech without
             speech input, or liveliness or mood_seed without a state of movement.
     """
+    if problem := next(_problems(model, controls, samples), None):
+        raise ModelError(problem)
+
+
+def _problems(model: MultiresModel, controls: MultiresControls, samples: int) -> Iterator[str]:
+    """Yield what is wrong with controls; a style or a level's text is wrong by a ModelError."""
     levels = model.network_config.levels
     if model.styles:
         lengths, rng = [1] * levels, rng_for(0, "check")
         requested_styles(model.styles, controls, lengths, fps=model.fps, rng=rng)
-    else:
-        for name in ("style", "level_style"):
-            if (value := controls[name]) is not None:
-                raise ModelError(f"{name}={value!r}: this multires model has no {name}")
+    for name, value in (("style", controls["style"]), ("level_style", controls["level_style"])):
+        if value is not None and not model.styles:
+            yield f"{name}={value!r}: this multires model has no {name}"
     if _level_speech_ranges(controls, levels) and model.conditions.conditioner is None:
-        raise ModelError("level_speech: this model takes no speech")
-    model.check_common(controls, samples)
+        yield "level_speech: this model takes no speech"
+    yield from model.problems(controls, samples)
     for which in ("levels", "keyframe_level"):
         level = controls[which]
         if level is not None and not 1 <= level <= levels:
-            raise ModelError(f"{which}={level}: the model has levels 1 (coarse) to {levels}")
+            yield f"{which}={level}: the model has levels 1 (coarse) to {levels}"
     of_levels = [name for name, value in controls.items() if name in _OF_LEVELS and value]
     if model.retrieves and of_levels:
-        raise ModelError(f"{of_levels[0]}: this model plays recordings, without a network's levels")
+        yield f"{of_levels[0]}: this model plays recordings, without a network's levels"
 
 
 def _own_seconds(

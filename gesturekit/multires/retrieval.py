@@ -445,8 +445,6 @@ def load_library(
         )
         for i, (speaker, style) in enumerate(values["recordings"])
     )
-    if not recordings:
-        raise ValueError("recorded: no recording")
     library = RecordedLibrary(float(parts.config["fps"]), passive, recordings)
     sizes = {
         "state": n_channels + 1,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -380,32 +380,36 @@ def _predictions(
     Raises:
         ModelError: the model cannot stream, or does not take a control or the look-ahead.
     """
-    conditioner = model.conditions.conditioner
-    if conditioner is None or model.state_process is None:
-        missing = "speech input" if conditioner is None else "a state of movement"
-        raise ModelError(f"a model without {missing} cannot stream: train own_corpus for one")
-    if model.retrieves:
-        raise ModelError("a model that plays recordings cannot stream: train own_corpus for one")
-    try:
-        check_streams(conditioner.extractor)
-    except af.FeatureError as error:
-        raise ModelError(f"the model cannot stream: {error}") from error
-    entries = control_entries(MultiresControls)
-    for name, value in controls.items():
-        if name not in _CONTROLS and not entries[name].is_default(value):
-            raise ModelError(
-                f"{name}: a stream takes {', '.join(_CONTROLS[:-1])} and {_CONTROLS[-1]} only"
-            )
-    if not model.ahead:
-        where = model.folder or "MODEL"
-        raise ModelError(
-            "the model has no predictions for live speech: "
-            f"gesturekit live --fit corpus.jsonl --model {where} adds them"
-        )
+    if problem := next(_problems(model, controls), None):
+        raise ModelError(problem)
     usable = [each for each in model.ahead if each.look_ahead <= look_ahead + 1e-9]
     if not (math.isfinite(look_ahead) and usable):
         raise ModelError(f"look_ahead={look_ahead}: seconds from 0, such as 0.2")
     return sorted(usable, key=lambda each: -each.look_ahead)
+
+
+def _problems(model: MultiresModel, controls: MultiresControls) -> Iterator[str]:
+    """Yield why a model cannot stream, or does not take a control."""
+    conditioner = model.conditions.conditioner
+    if conditioner is None or model.state_process is None:
+        missing = "speech input" if conditioner is None else "a state of movement"
+        yield f"a model without {missing} cannot stream: train own_corpus for one"
+        return
+    if model.retrieves:
+        yield "a model that plays recordings cannot stream: train own_corpus for one"
+    try:
+        check_streams(conditioner.extractor)
+    except af.FeatureError as error:
+        yield f"the model cannot stream: {error}"
+    entries = control_entries(MultiresControls)
+    for name, value in controls.items():
+        if name not in _CONTROLS and not entries[name].is_default(value):
+            yield f"{name}: a stream takes {', '.join(_CONTROLS[:-1])} and {_CONTROLS[-1]} only"
+    if not model.ahead:
+        yield (
+            "the model has no predictions for live speech: gesturekit live --fit corpus.jsonl "
+            f"--model {model.folder or 'MODEL'} adds them"
+        )
 
 
 def _styles(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +17,23 @@ from gesturekit.state.prediction import WantedMovement
 from gesturekit.state.process import Group, StateProcess
 
 
-def check_drawn(controls: Mapping[str, object], process: StateProcess | None) -> None:
-    """Raise ModelError for controls of the state of movement that have no effect.
+def unused_controls(controls: Mapping[str, object], process: StateProcess | None) -> Iterator[str]:
+    """Yield what is wrong with controls of the state of movement that have no effect.
 
     Args:
         controls: of a request.
         process: of the model; None for a model without a state of movement.
     """
     if controls["state"] is not None and process is None:
-        raise ModelError("state: this model was trained without the state of movement")
+        yield "state: this model was trained without the state of movement"
     for name, unset in (("liveliness", 1), ("mood_seed", None)):
-        value = controls[name]
-        if value == unset:
+        if (value := controls[name]) == unset:
             continue
         if process is None:
-            raise ModelError(f"{name}={value}: only models that draw how lively they are take it")
+            yield f"{name}={value}: only models that draw how lively they are take it"
         for other in ("like", "state"):
             if controls[other] is not None:
-                raise ModelError(f"{name}={value}: {other} sets the movement; give one of them")
+                yield f"{name}={value}: {other} sets the movement; give one of them"
 
 
 def mood_seed(seed: int, controls: Mapping[str, Any]) -> int:
@@ -139,8 +138,8 @@ def load_state(
         fps: frames per second.
         speech_size: S, the number of speech features.
 
-    Raises:
-        ValueError: values out of range, or tensors whose shapes do not fit the model.
+    Raises KeyError, IndexError or ValueError for values out of range, or tensors whose shapes do
+    not fit the model.
     """
     if values is None:
         return None
@@ -149,11 +148,10 @@ def load_state(
     groups = [_group(*group) for group in values["groups"]]
     arrays = {name: tensors[f"state.{name}"].double().numpy() for name in _SHAPES}
     _check(arrays, len(groups), channels, speech_size)
-    if (None, None) not in groups:
-        raise ValueError("state: the quantiles of all recordings are missing")
-    wanted = None
+    wanted, ahead = None, ()
     if values["wanted"] is not None:
         wanted = WantedMovement.load(values["wanted"], tensors, "state", fps)
+        ahead = load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps)
     process = StateProcess(
         channels=channels,
         fps=fps,
@@ -161,12 +159,9 @@ def load_state(
         take=float(np.clip(values["take"], *_TAKE)),
         quantiles=dict(zip(groups, arrays.pop("quantiles"), strict=True)),
         **arrays,
-        ahead=load_ahead(values["ahead"], tensors, "state", wanted, speech_size, fps),
+        ahead=ahead,
     )
-    try:
-        process.draw(0, np.zeros((speech_size, 2), np.float32))
-    except (IndexError, ValueError) as error:
-        raise ValueError(f"state: no {speech_size} speech features fit ({error})") from None
+    process.draw(0, np.zeros((speech_size, 2), np.float32))  # fails where something does not fit
     return process
 
 

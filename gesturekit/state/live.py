@@ -158,34 +158,25 @@ def load_ahead(
     rows: Sequence[Mapping[str, Any]],
     tensors: Mapping[str, Tensor],
     where: str,
-    wanted: WantedMovement | None,
+    wanted: WantedMovement,
     speech_size: int,
     fps: float,
 ) -> tuple[AheadPrediction, ...]:
     """Read what `ahead_values` and `ahead_tensors` returned.
 
-    Raises:
-        ValueError: values out of range, or that do not fit the speech features.
+    Raises IndexError, TypeError or ValueError for damaged values.
     """
     inputs, averages = (np.zeros((n, speech_size)) for n in (round(fps) + 1, 2))
     ahead = []
     for i, row in enumerate(rows):
-        look_ahead = float(row["look_ahead"])
-        if not 0 <= look_ahead <= 1:
-            raise ValueError(f"{where}: ahead.look_ahead is {look_ahead}, not from 0 to 1")
         prediction = AheadPrediction(
-            look_ahead,
+            min(1.0, max(0.0, float(row["look_ahead"]))),
             np.array(row["fast_columns"], int),
             np.array(row["slow_columns"], int),
             Regression.load(tensors, f"{where}.ahead.{i}.fast"),
             Regression.load(tensors, f"{where}.ahead.{i}.slow"),
         )
-        try:
-            if wanted is None:
-                raise ValueError("those of the whole sound are missing")
-            prediction(FeatureWindow(inputs, averages), wanted)
-        except (AttributeError, IndexError, ValueError) as error:
-            raise ValueError(f"{where}: live predictions do not fit ({error})") from None
+        prediction(FeatureWindow(inputs, averages), wanted)  # fails where something does not fit
         ahead.append(prediction)
     return tuple(ahead)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import math
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
@@ -29,12 +29,12 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.state.files import check_drawn, state_tensors
+from gesturekit.state.files import state_tensors, unused_controls
 from gesturekit.state.process import StateProcess
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.features import conditioner_tensors
 from gesturekit.training.own_rig import on_rig
-from gesturekit.training.run_config import MOST_SMOOTH
+from gesturekit.training.run_config import MOST_SMOOTH, Limits
 from gesturekit.training.run_folder import unfinished
 from gesturekit.training.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
 from gesturekit.wording import counted
@@ -128,9 +128,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], A
     folder = Path(folder)
     config = _read_config(folder, kind)
     try:
-        fps = float(config["fps"])
-        if not 0 < fps < math.inf:
-            raise ValueError(f"fps is {fps}")
+        checked_fps(float(config["fps"]))
         model = assemble(ModelParts(folder, config, *_read_files(folder)))
     except af.FeatureError as error:
         raise ModelError(f"{folder / 'config.yaml'}: features: {error}") from error
@@ -217,7 +215,7 @@ def model_readme(rows: Mapping[str, str], call: str) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class TrainedModel:
+class TrainedModel(ABC):
     """Fields of every trained model; each system adds its own, its networks and its generation.
 
     The value goes whole to whoever samples from it.
@@ -274,19 +272,15 @@ class TrainedModel:
             return Inputs()
         return Inputs(speech=True, words=speech.takes_words, files=speech.files)
 
-    def check_common(self, controls: Controls, samples: int) -> None:
-        """Check a request's controls that every system has, and its number of motions.
-
-        Raises:
-            ModelError: a speaker that the model does not know, or controls without effect.
-        """
+    def problems(self, controls: Controls, samples: int) -> Iterator[str]:
+        """Yield what is wrong with a request's common controls, and its number of motions."""
         speaker = controls["speaker"]
         if speaker is not None and speaker not in self.speakers:
             known = ", ".join(sorted(self.speakers)) or "its corpus named none"
-            raise ModelError(f"speaker={speaker!r}: the model does not know them ({known})")
+            yield f"speaker={speaker!r}: the model does not know them ({known})"
         if samples < 1:
-            raise ModelError(f"samples={samples}: ask for at least 1")
-        check_drawn(controls, self.state_process)
+            yield f"samples={samples}: ask for at least 1"
+        yield from unused_controls(controls, self.state_process)
 
     @torch.no_grad()
     @gesturekit_errors()
@@ -309,9 +303,9 @@ class TrainedModel:
         motion = on_rig(self.representation, motion.resample(self.fps))
         return self._measured_state(self.representation.encode(motion)).T
 
+    @abstractmethod
     def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
         """Return the state of movement (C, T) of motion vectors, in their own units."""
-        raise NotImplementedError
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of what `save` writes, its README apart."""
@@ -336,13 +330,13 @@ class TrainedModel:
         config, further = self._contents()
         return first | config, rig_values(self.representation, self.speakers), tensors | further
 
+    @abstractmethod
     def _contents(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
         """Return what the system adds to config.yaml and model.safetensors."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _readme(self) -> tuple[dict[str, str], str]:
         """Return the facts of README.md, and the arguments of `generate` in its example."""
-        raise NotImplementedError
 
     def _rates_and_joints(self) -> str:
         rate = "" if self.recorded_fps == self.fps else f", resampled to {self.recorded_fps:g} fps"
@@ -407,8 +401,8 @@ class TrainedModel:
 
         def assemble(parts: ModelParts) -> Any:
             smooth = parts.config["smooth"]
-            if smooth is not None and not 0 <= smooth <= MOST_SMOOTH:
-                raise ValueError(f"smooth is {smooth}, not 0 to {MOST_SMOOTH} s")
+            if smooth is not None:
+                Limits(MOST_SMOOTH).check("smooth", smooth)
             return cls(
                 fps=float(parts.config["fps"]),
                 speakers=read_speakers(parts.rig),
@@ -421,6 +415,7 @@ class TrainedModel:
         return load_model(folder, cls.kind, assemble)
 
     @classmethod
+    @abstractmethod
     def _fields(
         cls,
         parts: ModelParts,
@@ -432,7 +427,6 @@ class TrainedModel:
 
         Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
         """
-        raise NotImplementedError
 
 
 def fitted_tensors(

@@ -136,20 +136,15 @@ def is_trained_on(
     )
 
 
-def to_values(sources: Iterable[TrainedSegment]) -> list[dict[str, Any]]:
-    """Return plain values, ready for JSON."""
-    return [asdict(source) for source in sources]
-
-
 def from_values(values: Iterable[dict[str, Any]]) -> tuple[TrainedSegment, ...]:
-    """Return sources from the output of `to_values`."""
+    """Return sources from their fields as plain values."""
     return tuple(TrainedSegment(**value) for value in values)
 
 
 def save_sources(folder: Path, sources: Iterable[TrainedSegment]) -> None:
     """Write `trained_on.json` into a model folder."""
     with atomic_write(folder / FILE) as temporary:
-        temporary.write_text(json.dumps(to_values(sources), indent=1), encoding="utf-8")
+        temporary.write_text(json.dumps([*map(asdict, sources)], indent=1), encoding="utf-8")
 
 
 def load_sources(folder: Path) -> tuple[TrainedSegment, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_origin, get_type_hints
@@ -66,6 +67,12 @@ class Settings:
             if isinstance(value, int | float) and not isinstance(value, bool):
                 limits = hint.__metadata__[0] if get_origin(hint) is Annotated else Limits()
                 limits.check(name, value)
+        if problem := next(self.problems(), None):
+            raise ConfigError(problem)
+
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
+        yield from ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +141,10 @@ class RunConfig(Settings):
         """Return a number of training steps times `longer`, at least 1."""
         return max(1, round(steps * self.longer))
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
         for part, joint in self.parts.items():
             if part not in KNOWN_PARTS:
-                raise ConfigError(f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}")
+                yield f"parts: {part!r} is none of {', '.join(KNOWN_PARTS)}"
             if not isinstance(joint, str):
-                raise ConfigError(f"parts.{part}: {joint!r} is not a joint name")
+                yield f"parts.{part}: {joint!r} is not a joint name"

@@ -148,23 +148,28 @@ class Run:
 
     def _check(self) -> None:
         """Compare the folder with what is to be done in it; see the class for the errors."""
+        if problem := next(self._problems(), None):
+            raise ConfigError(problem)
+
+    def _problems(self) -> Iterator[str]:
+        """Yield why the run cannot begin, or be resumed, in the folder."""
         folder, config_file = self.folder, self.folder / "config.yaml"
         if folder.exists() and not folder.is_dir():
-            raise ConfigError(f"{folder}: a file, not a run folder; name a folder by out=OTHER")
-        if self._resume:
-            if not config_file.is_file():
-                raise ConfigError(f"{folder}: no run to resume here; start it without --resume")
-            before, config = dotted(read_yaml(config_file)), dotted(self._config)
-            for key in sorted(set(before) | set(config)):
-                if key not in _REPORTING and before.get(key) != config.get(key):
-                    raise ConfigError(
-                        f"{config_file}: the run was started with {key}: {before.get(key)!r}, now "
-                        f"it is {config.get(key)!r}; resume with the same settings or start anew"
-                    )
-            return
-        if config_file.exists():
+            yield f"{folder}: a file, not a run folder; name a folder by out=OTHER"
+        if not self._resume and config_file.exists():
             state = unfinished(folder) or f"{folder}: holds a finished training already"
-            raise ConfigError(f"{state}; a new one goes to another folder, out=OTHER")
+            yield f"{state}; a new one goes to another folder, out=OTHER"
+        if not self._resume:
+            return
+        if not config_file.is_file():
+            yield f"{folder}: no run to resume here; start it without --resume"
+        before, config = dotted(read_yaml(config_file)), dotted(self._config)
+        for key in sorted(set(before) | set(config)):
+            if key not in _REPORTING and before.get(key) != config.get(key):
+                yield (
+                    f"{config_file}: the run was started with {key}: {before.get(key)!r}, now it "
+                    f"is {config.get(key)!r}; resume with the same settings or start anew"
+                )
 
     @property
     def has_begun(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -51,7 +52,7 @@ class Estimate:
     rates: tuple[float, float]
 
 
-class BaseTrainer:
+class BaseTrainer(ABC):
     """A training run; each system adds its networks, its steps and its model.
 
     Args:
@@ -83,6 +84,11 @@ class BaseTrainer:
         trial: bool = False,
     ) -> None:
         self.config, self.folder, self.device, self.processes = config, run, device, processes
+        if (windows := self.config.windows_per_step) < processes.count:
+            raise ConfigError(
+                f"training.batch: {windows} window(s) a step cannot be shared by "
+                f"{processes.count} processes (whole sequences go one at a time)"
+            )
         folder, data, trainer = run.folder / "data", None, type(self)
         if not resume and processes.is_first:
             data = trainer.read_data(config, str(device), trial=trial)
@@ -95,6 +101,11 @@ class BaseTrainer:
         self.held_out = HeldOutMetrics(config, run, speech=has_speech, styles=styles)
         self.loop = Loop(config, run, processes, self.held_out)
         self.unused = unused_labels(self.data.sources, styles, state=self.config.state)
+        self.set_up()
+
+    @abstractmethod
+    def set_up(self) -> None:
+        """Announce the training, and make its networks."""
 
     def announce(self, kind: Sequence[str], contents: Sequence[str], steps: int) -> None:
         """Log the run folder, kind of training, data and held-out recordings, on one process.
@@ -124,20 +135,20 @@ class BaseTrainer:
             log.warning("%s.", line)
         log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
 
+    @abstractmethod
     def run(self) -> None:
         """Train all steps, or those that are left, and write the model."""
-        raise NotImplementedError
 
+    @abstractmethod
     def estimate(self) -> Estimate:
         """Estimate the cost of the training from a few steps.
 
         They change the networks: for a run that is not kept.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def about_data(self) -> dict[str, str]:
         """Return what README.md says of the data beside the recordings, and of their use."""
-        raise NotImplementedError
 
     def finish(self, steps: int, model: TrainedModel) -> None:
         """Measure the model of all steps on held-out recordings, and write it."""

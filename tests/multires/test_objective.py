@@ -262,8 +262,9 @@ def test_a_share_of_random_windows_is_silent(cache):
     n_frames, cache.first = max(cache.data.window_lengths()), 2
     for share in (0.0, 0.3):
         training = replace(cache.config.training, silence=share)
-        features = replace(cache.config.features, residual=False)
-        cache.config = replace(cache.config, training=training, features=features)
+        cache.config = replace(cache.config, training=training)
+        conditions = replace(cache.data.conditions, residual=False)
+        cache.data = replace(cache.data, conditions=conditions)
         windows = cache.random(cache.data.paired, n_frames, 100, rng_for("silent"))
         silent = (windows.conditions[-1] == cache.data.silence[:, :n_frames]).all(dim=(1, 2))
         assert float(silent.float().mean()) == pytest.approx(share, abs=0.1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ from gesturekit.training.origin import (
     from_values,
     read_start,
     start_tensors,
-    to_values,
 )
 
 
@@ -292,7 +291,7 @@ class TrainingData:
             "sampled": self.sampled,
             "stored": self.stored,
             "seconds": [self.seconds, self.unpaired_seconds],
-            "sources": to_values(self.sources),
+            "sources": [*map(asdict, self.sources)],
             "recorded_fps": self.recorded_fps,
             "conditions": conditions.to_values(),
             "state": None if self.state_process is None else state_values(self.state_process),

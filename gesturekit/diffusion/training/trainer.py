@@ -38,9 +38,7 @@ from gesturekit.postprocess import smooth_motion
 from gesturekit.state.process import StateProcess
 from gesturekit.training.origin import widened
 from gesturekit.training.run_config import UNIDENTIFIED
-from gesturekit.training.run_folder import Run
 from gesturekit.training.seeds import rng_for, seeded
-from gesturekit.training.session import Processes
 from gesturekit.training.trainer import BaseTrainer, Estimate, quickest, run_training
 from gesturekit.wording import counted, drawn, roughly
 
@@ -80,18 +78,9 @@ class Trainer(BaseTrainer):
     load_data = staticmethod(TrainingData.load)
     read_recordings = staticmethod(partial(read_recordings, trial=True))
 
-    def __init__(
-        self,
-        config: DiffusionConfig,
-        run: Run,
-        device: torch.device,
-        processes: Processes,
-        *,
-        resume: bool,
-        trial: bool = False,
-    ) -> None:
-        super().__init__(config, run, device, processes, resume=resume, trial=trial)
-        data = self.data
+    def set_up(self) -> None:
+        """Announce the training, and make its network."""
+        config, device, data = self.config, self.device, self.data
         self.schedule = NoiseSchedule.of(config.noise)
         self.batches = Batches(data, config)
         self.normaliser = data.normaliser.to(device)
@@ -102,7 +91,7 @@ class Trainer(BaseTrainer):
             self.foot_velocity = FootVelocity(data.representation, feet, config.fps).to(device)
         if data.state_process is not None and config.training.state:
             self.state_distance = StateDistance(data.representation, data.state_process).to(device)
-        if processes.is_first:
+        if self.processes.is_first:
             self._log_missing_parts()
         inputs = [name for name, c in data.conditions.columns.items() if c.stop > c.start]
         mode = f"from {' and '.join(inputs)}" if inputs else "no condition"

@@ -8,7 +8,7 @@ motion is a sequence.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -40,7 +40,6 @@ from gesturekit.training.origin import (
     from_values,
     read_start,
     start_tensors,
-    to_values,
 )
 from gesturekit.training.seeds import rng_for
 
@@ -346,7 +345,7 @@ class TrainingData:
             "unpaired": len(unpaired),
             "features": None if conditioner is None else conditioner_values(conditioner),
             "styles": self.conditions.styles,
-            "sources": to_values(self.sources),
+            "sources": [*map(asdict, self.sources)],
             "window": self.window,
             "recorded_fps": self.recorded_fps,
             "passive": [passive.joints, passive.expressions],

@@ -24,6 +24,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, find_parts, is_upper_body, unidentified
 from gesturekit.motion.root_path import heading
 from gesturekit.motion.skeleton import Skeleton
+from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
@@ -62,6 +63,7 @@ def load_training_data(
         CorpusError: no training item with what the mode needs, rigs that differ, or a file that
             cannot be read.
     """
+    requested_backend(config.backend)  # a wrong one is refused before the run folder is made
     # Wrong extractor settings are reported before any file is read.
     features = config.features
     speech = None if features is None else SpeechArrays.open(features, config.fps, device)
@@ -80,11 +82,8 @@ def load_training_data(
     normaliser = _normaliser(config, vectors, representation, start)
     known = None if start is None else start.conditions.conditioner
     if recordings.excerpts is None:
-        motion = [
-            ArrayInMemory(rows, {"id": item.id, "fps": rate})
-            for rows, item, rate in zip(made, recordings.items, recordings.rates, strict=True)
-        ]
-        corpus = _in_memory(config, recordings, motion, normaliser, speech, known)
+        motion = [ArrayInMemory(rows, {}) for rows in made]
+        corpus = _in_memory(recordings, motion, normaliser, speech, known)
     else:
         del motions, made, vectors  # the sample is read again, from the arrays
         corpus = _on_disk(config, recordings, maker, normaliser, speech, known)
@@ -236,7 +235,6 @@ class _Corpus(NamedTuple):
 
 
 def _in_memory(
-    config: MultiresConfig,
     recordings: Recordings,
     motion: Sequence[ArrayInMemory],
     normaliser: Normaliser,

@@ -20,8 +20,8 @@ import torch
 from torch import Tensor, nn
 
 import audio_features as af
-from gesturekit.errors import ConfigError, GestureKitError
-from gesturekit.multires.backend import choose_backend, requested_backend
+from gesturekit.errors import GestureKitError
+from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.conditions import agreed_style
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
@@ -45,7 +45,6 @@ from gesturekit.multires.training.windows import Batches, Windows, usage
 from gesturekit.state.live import AheadPrediction
 from gesturekit.training.model_folder import TrainedModel
 from gesturekit.training.origin import widened
-from gesturekit.training.run_folder import Run
 from gesturekit.training.seeds import rng_for, seeded
 from gesturekit.training.session import Processes
 from gesturekit.training.trainer import BaseTrainer, Estimate, quickest, run_training
@@ -68,24 +67,9 @@ class Trainer(BaseTrainer):
     load_data = staticmethod(TrainingData.load)
     read_recordings = staticmethod(partial(read_recordings, trial=True))
 
-    def __init__(
-        self,
-        config: MultiresConfig,
-        run: Run,
-        device: torch.device,
-        processes: Processes,
-        *,
-        resume: bool,
-        trial: bool = False,
-    ) -> None:
-        windows = config.training.windows_per_step
-        if windows < processes.count:
-            raise ConfigError(
-                f"training.batch: {windows} window(s) a step cannot be shared by "
-                f"{processes.count} processes (whole sequences go one at a time)"
-            )
-        requested_backend(config.backend)  # refused here, before the run folder is made
-        super().__init__(config, run, device, processes, resume=resume, trial=trial)
+    def set_up(self) -> None:
+        """Announce the training, and make its network."""
+        config, processes = self.config, self.processes
         self._live: tuple[AheadPrediction, ...] | None = None
         data, skeleton = self.data, self.data.representation.skeleton
         self.config = config = adapted(config, skeleton, quiet=not processes.is_first)
@@ -100,7 +84,7 @@ class Trainer(BaseTrainer):
             self.network.load_state_dict(
                 widened(data.start, self.network, lambda name: name.endswith("embed.weight"))
             )
-        self.network.to(device)
+        self.network.to(self.device)
         self.monitor = None
         if config.eval_every and processes.is_first:
             convolve = choose_backend(config.backend, self.network).convolve
@@ -203,9 +187,7 @@ class Trainer(BaseTrainer):
         return {
             "Unpaired speech": unpaired,
             "Not used": "; ".join(self.unused),
-            "Use of the recordings": usage(
-                self.config.training, shortest, self.data.seconds, sources
-            ),
+            "Use of the recordings": usage(self.config, shortest, self.data.seconds, sources),
         }
 
     def write(self, name: str, model: TrainedModel, rows: Mapping[str, str]) -> None:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 import audio_features as af
 from gesturekit.multires.conditions import mixed_styles
-from gesturekit.multires.config import MultiresConfig, TrainingConfig
+from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.layers import Convolve, convolve_dense, resample
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.pyramid import RandomNoise, ZStarPatches
@@ -92,7 +92,7 @@ class Batches:
         self.convolve = convolve
         self.device = next(network.parameters()).device
         self.noise = random_noise(data, config, config.network.levels)
-        self.size = config.training.windows_per_step
+        self.size = config.windows_per_step
         self.sequences = {
             n_frames: [data.paired[i] for i in members]
             for n_frames, members in data.window_lengths().items()
@@ -343,16 +343,16 @@ def random_windows(
         yield sequences[which], int(torch.randint(int(starts[which]), (), generator=rng))
 
 
-def usage(training: TrainingConfig, iterations: int, seconds: float, recordings: int) -> str:
+def usage(config: MultiresConfig, iterations: int, seconds: float, recordings: int) -> str:
     """Return how often a stage draws each second of the recordings.
 
     Args:
-        training: of the run.
+        config: of the run.
         iterations: of the stage.
         seconds: of all recordings.
         recordings: their number.
     """
-    windows = iterations * training.windows_per_step
+    training, windows = config.training, iterations * config.windows_per_step
     counts = {"as real motion": windows * training.discriminator_steps}
     if training.reconstruction_steps:
         count = windows * training.reconstruction_steps
