@@ -233,7 +233,7 @@ class SpeechConditioner:
         if wave.is_silent:
             log.warning("%s: silent; the motion will be idle", name)
         elif speech.is_silent:
-            text = "no voice found (noise, hum, whispering): idle motion; --no-vad follows it"
+            text = "no voice found: the motion will be idle; vad=False (--no-vad) follows it"
             log.warning("%s: %s", name, text)
         level = self.normalisation == "clip"
         with one_blas_thread():
