@@ -254,10 +254,8 @@ def _folder_of(
         wanted = settings.get("fingerprint")
         which = f" with fingerprint {wanted}" if wanted else ""
         setting = f"{name}: FOLDER in the config" if name else "features.weights=PATH"
-        raise WeightsError(
-            f"weights of {model}{which} are needed: name their place ({setting} to train, else "
-            f"--weights {kind}=PATH)"
-        )
+        how = f"name their place ({setting} to train, else --weights {kind}=PATH)"
+        raise WeightsError(f"weights of {model}{which} are needed: {how}")
     return folder
 
 
@@ -301,10 +299,8 @@ def needs_of(spec: Any) -> list[str]:
     if kind == "words":
         needs.append("a list of words with times beside each sound, such as STEM.TextGrid")
     elif kind == "files":
-        needs.append(
-            f"STEM{spec.get('suffix')} with {spec.get('dim')} columns, beside each sound or in "
-            "--weights files=FOLDER"
-        )
+        files = f"STEM{spec.get('suffix')} with {spec.get('dim')} columns"
+        needs.append(f"{files}, beside each sound or in --weights files=FOLDER")
     elif kind is not None and kind not in KINDS:
         here = "" if kind in installed_kinds() else ", which is not installed here"
         needs.append(f"the extractor {kind} of the package {spec.get('package')}{here}")

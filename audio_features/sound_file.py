@@ -211,11 +211,8 @@ def _with_length(name: str) -> str | bytes | io.BufferedReader:
 
 
 def _truncated(name: str, declared: str, there: str) -> AudioError:
-    return AudioError(
-        f"{name}: truncated: the header declares {declared}, {there}: copy or export the file "
-        f"again, or keep what is there by {_ffmpeg_line(name)}, and put the result in the place of "
-        "the file"
-    )
+    how = f"copy or export it again, or keep what is there by {_ffmpeg_line(name)}"
+    return AudioError(f"{name}: truncated: the header declares {declared}, {there}: {how}")
 
 
 def _ffmpeg_line(name: str, options: str = "") -> str:
@@ -303,10 +300,8 @@ def interpolated(samples: np.ndarray, rate: int, repairs: list[str]) -> np.ndarr
     if not 0 < count <= _FEW_FAULTY * len(samples):
         return samples
     faulty, good = np.flatnonzero(~finite), np.flatnonzero(finite)
-    repairs.append(
-        f"NaN or infinite: {count} of {len(samples)} samples, the first at "
-        f"{faulty[0] / rate:.3f} s: they are interpolated"
-    )
+    where = f"{count} of {len(samples)} samples, the first at {faulty[0] / rate:.3f} s"
+    repairs.append(f"NaN or infinite: {where}: they are interpolated")
     samples = samples.copy()
     samples[faulty] = np.interp(faulty, good, samples[good])
     return samples

@@ -279,10 +279,8 @@ class Wave:
         full = level >= _FULL_SCALE
         flat = np.flatnonzero(full[2:] & full[1:-1] & full[:-2])  # third in a run
         if len(flat) and peak <= _UNLIMITED:
-            faults.append(
-                f"clipped: {len(flat)} samples at full scale, the first at "
-                f"{flat[0] / self.sample_rate:.2f} s: record at a lower level"
-            )
+            where = f"the first at {flat[0] / self.sample_rate:.2f} s: record at a lower level"
+            faults.append(f"clipped: {len(flat)} samples at full scale, {where}")
         # Floats may have another full scale than 1, for example 32768.
         offset = self._mean / (peak if peak > _UNLIMITED else 1.0)
         if abs(offset) >= _DC_OFFSET:

@@ -249,11 +249,11 @@ def parse_trim(text: str) -> tuple[float, float]:
         ConfigError: not an interval, or one that ends before it begins.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)?\s*:\s*(\d+(?:\.\d*)?|\.\d+)?\s*", text)
-    if not match or not (match[1] or match[2]):
-        raise ConfigError(f"trim {text!r}; write START:END in seconds, as 2:10.5, 2: or :10.5")
-    start, end = float(match[1] or 0), float(match[2]) if match[2] else math.inf
+    start = end = 0.0
+    if match and (match[1] or match[2]):
+        start, end = float(match[1] or 0), float(match[2] or math.inf)
     if end <= start:
-        raise ConfigError(f"trim {text!r} ends before it begins")
+        raise ConfigError(f"trim {text!r}; write START:END in seconds, as 2:10.5, 2: or :10.5")
     return start, end
 
 

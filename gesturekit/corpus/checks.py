@@ -115,10 +115,9 @@ def first_difference(skeleton: Skeleton, usual: Skeleton) -> str | None:
             return f"joint {name!r} is {here} here and {there} in the others"
     if skeleton.n_joints != usual.n_joints:
         longer = max(skeleton.names, usual.names, key=len)
-        return (
-            f"{skeleton.n_joints} joints here and {usual.n_joints} in the others; "
-            f"the first one more is {longer[min(skeleton.n_joints, usual.n_joints)]!r}"
-        )
+        both = f"{skeleton.n_joints} joints here and {usual.n_joints} in the others"
+        first = longer[min(skeleton.n_joints, usual.n_joints)]
+        return f"{both}; the first one more is {first!r}"
     return None
 
 

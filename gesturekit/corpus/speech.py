@@ -233,7 +233,7 @@ class SpeechConditioner:
         if wave.is_silent:
             log.warning("%s: silent; the motion will be idle", name)
         elif speech.is_silent:
-            text = "no voice found (noise, hum, whispering): idle motion; --no-vad follows it"
+            text = "no voice found: the motion will be idle; vad=False (--no-vad) follows it"
             log.warning("%s: %s", name, text)
         level = self.normalisation == "clip"
         with one_blas_thread():
@@ -454,11 +454,9 @@ def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) ->
     apart, numbers = [], []
     for text in wanted.split(","):
         match = _SPAN.fullmatch(text.strip())
-        if match is None:
+        start, end = (float(match["start"]), float(match["end"])) if match else (0.0, 0.0)
+        if match is None or end <= start:
             raise ModelError(f"style {text.strip()!r}: spans look like old@0-10,angry@10-20")
-        start, end = float(match["start"]), float(match["end"])
-        if end <= start:
-            raise ModelError(f"style {text.strip()!r}: the span ends before it begins")
         numbers.append(style_number(names, match["name"]))
         apart.append(np.maximum(np.maximum(start - time, time - end + 0.5 / fps), 0.0))
     holds = np.stack(apart) <= np.min(apart, axis=0) + 1e-6

@@ -149,10 +149,10 @@ def as_intervals(wanted: str | Sequence[Interval]) -> list[Interval]:
         try:
             start, stop = map(float, ends)
         except (TypeError, ValueError):
-            how = 'START-END in seconds, as "10-15,50-", or [(10, 15), (50, math.inf)]'
-            raise CorpusError(f"{interval!r} is not an interval; write {how}") from None
+            start = stop = math.nan
         if not 0 <= start < stop:
-            raise CorpusError(f"interval {interval!r} ends before it begins, or before 0")
+            how = 'START-END in seconds, as "10-15,50-", or [(10, 15), (50, math.inf)]'
+            raise CorpusError(f"{interval!r} is not an interval; write {how}")
         intervals.append((start, stop))
     return intervals
 

@@ -135,9 +135,8 @@ def _files(path: Path) -> dict[int, Path]:
         numbered = [file for file in folder.glob("*.json") if file.stem.isdecimal()]
         if files := {int(f.stem): f for f in numbered if len(f.stem) <= _DIGITS}:
             return files
-    if not path.exists():
-        raise FormatError(f"{path}: no such file or folder")
-    raise FormatError(f"{path}: no frames of EasyMocap (smpl/000000.json, ...) in it")
+    there = "no frames of EasyMocap (smpl/000000.json, ...) in it"
+    raise FormatError(f"{path}: {there if path.exists() else 'no such file or folder'}")
 
 
 def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
@@ -148,11 +147,9 @@ def _people(file: Path) -> dict[int, dict[str, np.ndarray]]:
         raise FormatError(f"{file}: {json_in_words(content)}; expected EasyMocap's list of people")
     people = {}
     for place, entry in enumerate(entries):
-        if not isinstance(entry, dict):
-            raise FormatError(f"{file}: entry {place} is not a person")
-        name = entry.get("id", entry.get("personID"))
+        name = entry.get("id", entry.get("personID")) if isinstance(entry, dict) else None
         if not isinstance(name, int):
-            raise FormatError(f"{file}: entry {place} has id {name!r}; expected a whole number")
+            raise FormatError(f"{file}: entry {place} is no person with a whole number as id")
         people[name] = {key: _numbers(f"{file}: person {name}", entry, key) for key in _KEYS}
         people[name]["has_hands"] = np.array("handl" in entry)
     return people
@@ -167,9 +164,9 @@ def _numbers(who: str, entry: dict[str, Any], key: str) -> np.ndarray:
     try:
         values = np.array(entry[key], dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise FormatError(f"{who}: {key!r} is not a table of numbers") from None
+        values = np.array([np.nan])
     if len(values) > 1000 or not np.isfinite(values).all():
-        raise FormatError(f"{who}: {key!r} holds no finite numbers, or too many")
+        raise FormatError(f"{who}: {key!r} is no table of finite numbers, or too large")
     n = len(values)
     is_right = n in _LAYOUTS or n + 3 in _LAYOUTS if key == "poses" else n == 3
     if key not in _OPTIONAL and not is_right:

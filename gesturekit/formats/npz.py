@@ -233,11 +233,10 @@ def _from_native(archive: Archive) -> Motion:
 def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:
     """Return the joint indices in the array `key`, each at least `lowest` and below `stop`."""
     values = archive[key]
-    if values.dtype.kind not in "iu" or values.ndim != 1 or len(values) > _MAX_JOINTS:
+    is_list = values.dtype.kind in "iu" and values.ndim == 1 and len(values) <= _MAX_JOINTS
+    if not is_list or not all(lowest <= index < stop for index in values.tolist()):
         held = f"shape {values.shape} of {values.dtype}"
-        raise FormatError(f"key {key!r} has {held}; expected up to {_MAX_JOINTS} joint indices")
-    if len(values) and not lowest <= int(values.min()) <= int(values.max()) < stop:
-        raise FormatError(f"key {key!r} holds a joint index outside {lowest} to {stop - 1}")
+        raise FormatError(f"key {key!r} has {held}; expected indices {lowest} to {stop - 1}")
     return values.tolist()
 
 

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +21,6 @@ from gesturekit.errors import FormatError, MotionError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import matrix_from_quaternion, steady_signs
 from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rotations, has_shape
-
-if TYPE_CHECKING:
-    from gesturekit.motion import Motion
 
 FOOT_VERTICES = {
     6890: (3216, 3226, 3387, 6617, 6624, 6787),

@@ -181,7 +181,7 @@ def as_wave(audio: Playable | None) -> Wave | None:
     if isinstance(audio, tuple) and len(audio) == 2:
         return Wave.from_array(*audio, "audio")
     if not isinstance(audio, str | os.PathLike):
-        raise AudioError(f"audio is {type(audio).__name__}: give a file, a Wave, or (samples, Hz)")
+        raise AudioError(f"audio is {type(audio).__name__}: give a file, a Wave, (samples, rate)")
     return Wave.load(audio)
 
 
