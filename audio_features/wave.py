@@ -14,6 +14,7 @@ import numpy as np
 import soxr
 from numpy.typing import ArrayLike
 
+from audio_features.archive import open_archive
 from audio_features.errors import AudioError
 from audio_features.sound_file import (
     CANCELLING,
@@ -57,6 +58,11 @@ def exact_rate(fps: float | Fraction) -> Fraction:
     if rate <= 0:
         raise AudioError(f"fps is {fps!r}: give a positive number of frames per second")
     return rate
+
+
+FEATURES = ".npz"
+"""Suffix of feature files, which stand for their sounds."""
+_SILENCE_RATE = 16000
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +134,9 @@ class Wave:
     ) -> Wave:
         """Read a sound file: wav, flac, ogg (vorbis, opus), mp3, aiff, au, NIST SPHERE.
 
+        An npz of features (`FeatureTrack`) stands for its sound: it gives silence of its length,
+        for which `Files` takes its features.
+
         Args:
             path: the file; any sample rate, any number of channels.
             start: start of the segment to read, in seconds.
@@ -146,6 +155,8 @@ class Wave:
         accepted silently; only an MP3 may hold no length.
         """
         name = os.fspath(path)
+        if name.lower().endswith(FEATURES):
+            return _silence_of(name, max_seconds).slice(start, duration)
         with open_sound(name) as file:
             rate = checked_rate(file.samplerate, name)
             first, count = _segment(name, file.frames, rate, start, duration, max_seconds)
@@ -349,3 +360,15 @@ def _segment(
         limit = f"{count / rate:.0f} s of sound exceed the limit of {max_seconds:.0f} s"
         raise AudioError(f"{name}: {limit}: give start and duration, or max_seconds")
     return first, count
+
+
+def _silence_of(path: str, max_seconds: float) -> Wave:
+    """Return silence as long as the features in a file; raise AudioError for another file."""
+    with open_archive(path, AudioError) as archive:
+        times = archive.numbers("times").ravel()
+    seconds = float(times[-1] + np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if not 0 < seconds <= max_seconds:
+        raise AudioError(
+            f"{path}: features up to {seconds:g} s, at most {max_seconds:g} s are read"
+        )
+    return Wave(np.zeros(round(seconds * _SILENCE_RATE), np.float32), _SILENCE_RATE, path)

@@ -5,7 +5,7 @@
 For each seed the same sound is sampled with all steps as published and with few steps of `dpm`. A
 row is the mean over seeds, with its 95 % interval, of the ratio to the mean of all steps. The last
 rows keep the first 3 s of one seed's motion and the last 3 s of the next one's: jerk at the joins
-(the three third differences that touch a join) over that of the frames between them.
+(the three third differences that touch a join) over that of all other frames.
 """
 
 from __future__ import annotations
@@ -53,23 +53,26 @@ def main() -> None:
         few = motions(steps=steps)
         for name, of in measures.items():
             values = np.array([of(motion) for motion in few])
-            print(f"{steps} steps: {name} {interval(values / whole[name].mean())}")
+            change = (values - whole[name]) / whole[name].mean()  # seed by seed
+            print(f"{steps} steps: {name} {interval(1 + change)}")
         print(f"{steps} steps: distance of two seeds {apart(few, few[1:] + few[:1]):.3f} m")
+    clips = [model.generate(wave, seed=seed) for seed in range(count)]
     for steps in (None, 8):
-        print(
-            f"keep, {steps or 'all'} steps: {interval(np.array(joins(model, wave, every, steps)))}"
-        )
+        ratios = joins(model, wave, clips, steps)
+        print(f"keep, {steps or 'all'} steps: {interval(np.array(ratios))}")
 
 
 def joins(model: gk.Model, wave: af.Wave, clips: list[gk.Motion], steps: int | None) -> list[float]:
-    """Return the jerk at the joins over that of made frames, for each seed."""
+    """Return the jerk at the joins over that elsewhere, for each seed."""
     ratios, n, kept = [], clips[0].n_frames, round(KEPT * model.fps)
     for seed, (first, last) in enumerate(zip(clips, clips[1:] + clips[:1], strict=True)):
         keep = {0.0: first[:kept], (n - kept) / model.fps: last[n - kept :]}
         made = model.generate(wave, seed=seed + 1000, keep=keep, steps=steps)
         size = np.linalg.norm(np.diff(made.positions(), 3, axis=0), axis=-1).mean(axis=1)
-        at = [k for join in (kept, n - kept) for k in range(join - 3, join)]
-        ratios.append(size[at].mean() / size[kept + 12 : n - kept - 15].mean())
+        at = np.zeros(len(size), bool)
+        for join in (kept, n - kept):
+            at[join - 3 : join] = True
+        ratios.append(size[at].mean() / size[~at].mean())
     return ratios
 
 

@@ -6,14 +6,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
 from torch import Tensor
 
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
+from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
-from gesturekit.training.clips import BLEND, InbetweenClips, continued, ease
+from gesturekit.training.clips import InbetweenClips, ease
 
 if TYPE_CHECKING:
     from gesturekit.diffusion.model import DiffusionModel
+
+SETTLED = 0.6
+"""Seconds beside a clip in which the made motion is moved to it and smoothed."""
+STIFFNESS = 20.0
+"""Weight of squared third differences beside a clip, relative to squared changes of the motion, at
+30 fps."""
 
 
 class InbetweenConstraint:
@@ -22,7 +31,7 @@ class InbetweenConstraint:
     At every step the predicted clean motion is replaced by the clips where there are any
     (imputation, as in section 4.2 of Tevet et al. 2023): the network sees them with the noise of
     the step, and fits the other frames to them. At the end the frames beside a clip are moved to
-    its pose and velocity, and the root on to the place and heading of the next clip.
+    its pose and smoothed into it, and the root on to the place and heading of the next clip.
 
     Args:
         model: the model that generates.
@@ -58,40 +67,41 @@ class InbetweenConstraint:
 
         return constrained
 
-    def blended(self, values: np.ndarray, number: int) -> tuple[np.ndarray, RootPath]:
-        """Return a sampled motion that continues from the clips, and its path.
+    def free(self, number: int) -> np.ndarray:
+        """Return what the network made at last, (T, X) in its own units, in place of clips too.
 
         Args:
-            values: (T, X) vectors in their own units.
             number: of the motion in its batch.
         """
         assert self._free is not None
-        free = self.normaliser.inverse(self._free[number].cpu()).double().numpy()
-        values, rig = values.copy(), self.representation
-        still = np.ones(values.shape[1], bool)
-        still[rig.root_columns] = False  # steps are velocities
+        return self.normaliser.inverse(self._free[number].cpu()).double().numpy()
+
+    def blended(self, motion: Motion) -> Motion:
+        """Return a motion that continues from the clips and contains them, from a free one."""
+        free, rig = self.representation.encode(motion), self.representation
+        values = free.copy()
         edges = [0, *(edge for span in self.spans for edge in span), len(values)]
-        for k, (begin, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
-            count, has_both = end - begin, 0 < k < len(self.spans)
-            reach = max(1, round(BLEND * self.clips.fps))
-            reach = min(reach, count + 1) if has_both else reach
-            for side in ("after", "before"):
-                if (k == 0) if side == "after" else (k == len(self.spans)):
-                    continue
-                span = slice(*self.spans[k - 1 if side == "after" else k])
-                order = 1 if side == "after" else -1
-                ends = self.values[span][::order], free[span][::order]
-                added = continued(*ends, count, reach, still)[::order]
-                values[begin:end] += added
+        reach, kept = max(1, round(SETTLED * self.clips.fps)), np.zeros(len(values), bool)
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            after = np.arange(1, end - begin + 1)[:, None]
+            share = ease(np.clip(1 - after / min(reach, len(after) + 1), 0, 1))
+            if begin:
+                values[begin:end] += share * (self.values - free)[begin - 1]
+            if end < len(values):
+                values[begin:end] += share[::-1] * (self.values - free)[end]
         for begin, end in self.spans:
+            kept[begin:end] = True
+            # The step into a clip is part of the motion before it.
             steps = values[begin, rig.root_columns].copy()
             values[begin:end] = self.values[begin:end]
             values[begin, rig.root_columns] = steps
+        values = settled(values, kept, reach, STIFFNESS * (self.clips.fps / 30) ** 6)
         deltas = values[:, rig.root_columns] * [1.0, rig.scale, rig.scale]
         path = RootPath.from_deltas(deltas, self.clips.fps, turn_first=rig.turn_first)
         path = self._through_clips(path)
         values[:, rig.root_columns] = path.scaled(1 / rig.scale).deltas(turn_first=rig.turn_first)
-        return values, path
+        start = (*path.positions[0], path.headings[0])
+        return rig.decode(values, self.clips.fps, start=start)
 
     def _through_clips(self, path: RootPath) -> RootPath:
         """Return the path with the first clip in its place, and bent between the clips."""
@@ -112,3 +122,35 @@ class InbetweenConstraint:
             path = RootPath(positions, path.headings + turn, path.fps)
             before = end
         return path
+
+
+def settled(values: np.ndarray, kept: np.ndarray, reach: int, stiffness: float) -> np.ndarray:
+    """Return motion whose third differences are small beside kept frames (Whittaker smoothing).
+
+    Minimises the sum of w (x - values)^2 + m (third difference of x)^2 with kept frames fixed. m
+    falls from `stiffness` to 0 over `reach` frames, and w rises to 1.
+
+    Args:
+        values: (T, X).
+        kept: (T,) bool, true for at least one frame.
+        reach: frames beside kept ones that may change.
+        stiffness: m beside a kept frame.
+    """
+    count, frames = len(values), np.arange(len(values))
+    if count < 4 or kept.all():
+        return values
+    places = np.flatnonzero(kept)
+    right = places[np.searchsorted(places, frames).clip(max=len(places) - 1)]
+    left = places[(np.searchsorted(places, frames, side="right") - 1).clip(0)]
+    away = np.minimum(np.abs(frames - left), np.abs(frames - right)) / reach
+    near = np.lib.stride_tricks.sliding_window_view(np.clip(1 - away, 0, 1), 4).max(axis=1)
+    third = sparse.diags_array(
+        [-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(count - 3, count)
+    )
+    smooth = third.T @ sparse.diags_array(stiffness * near**2) @ third
+    weight = sparse.diags_array(np.clip(away, 0.02, 1))
+    whole, free = (weight + smooth).tocsr(), ~kept
+    wanted = (weight @ values)[free] - whole[free][:, kept] @ values[kept]
+    result = values.copy()
+    result[free] = spsolve(whole[free][:, free].tocsc(), wanted).reshape(wanted.shape)
+    return result

@@ -103,6 +103,8 @@ def sampled_motions(request: Request, samples: int) -> list[Motion]:
             for number, vector in enumerate(vectors.cpu()):
                 motion = _decoded(request, vector, number)
                 motion = smooth_motion(motion, smooth) if smooth else motion
+                if request.between is not None:
+                    motion = request.between.blended(motion)
                 motions.append(_finished(request, motion))
     return motions
 
@@ -121,19 +123,18 @@ def _finished(request: Request, motion: Motion) -> Motion:
 def _decoded(request: Request, vector: Tensor, number: int) -> Motion:
     """Return the motion of a normalised motion vector (T, X), with this number in its batch."""
     model, speaker = request.model, request.controls["speaker"]
-    values, place = model.normaliser.inverse(vector).double().numpy(), request.place
+    values = model.normaliser.inverse(vector).double().numpy()
+    if request.between is not None:
+        values = request.between.free(number)
     if not np.isfinite(values).all():
         raise ModelError("the model gave NaN; its weights are damaged or its training diverged")
-    if request.between is not None:
-        values, path = request.between.blended(values, number)
-        place = (*path.positions[0], path.headings[0])
     try:
         return model.representation.decode(
             values,
             model.fps,
             skeleton=None if speaker is None else model.speakers[speaker],
             path=request.path,
-            start=place,
+            start=request.place,
         )
     except MotionError as error:
         raise ModelError(

@@ -25,7 +25,7 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
-from gesturekit.training.clips import BLEND, InbetweenClips, continued, ground_positions
+from gesturekit.training.clips import BLEND, InbetweenClips, ease, ground_positions
 
 _SWAY = 0.03
 """Largest sway of the hips to either side of a path, metres of the reference body."""
@@ -202,19 +202,31 @@ class InbetweenConstraint:
         reach = min(reach, count + 1) if between else reach
         if begin:
             before = np.arange(*spans[number - 1])
-            result[begin:end] += continued(
-                given[before], output[before], count, reach, self.continuous
-            )
+            result[begin:end] += self._correction(given[before], output[before], count, reach)
         if end < n_frames:
             after = np.arange(*spans[number])[::-1]
-            result[begin:end] += continued(
-                given[after], output[after], count, reach, self.continuous
-            )[::-1]
+            result[begin:end] += self._correction(given[after], output[after], count, reach)[::-1]
         if between:
             share = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2  # most in the middle
             xz = self.layout.root_xz
             missing = self.displacements[number - 1] / stride - result[begin:end, xz].sum(axis=0)
             result[begin:end, xz] += share[:, None] / share.sum() * missing
+
+    def _correction(
+        self, given: np.ndarray, output: np.ndarray, count: int, reach: int
+    ) -> np.ndarray:
+        """Return (count, D) to add to the frames after a clip so that they continue from its end.
+
+        `given` (T_k, D) is the clip and `output` (T_k, D) what the level generated in its place;
+        the correction is 0 after `reach` frames.
+        """
+        after = np.arange(1, count + 1)[:, None]
+        share = ease(np.clip(1 - after / reach, 0, 1))
+        added = share * (given[-1] - output[-1])
+        if len(given) > 1:
+            change = (given[-1] - given[-2]) - (output[-1] - output[-2])
+            added += after * share**2 * np.where(self.continuous, change, 0)
+        return added
 
     def _spans(self, n_frames: int) -> list[tuple[int, int]]:
         """Return the first frame of each clip at a level, and the frame after its last one.

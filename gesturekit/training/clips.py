@@ -149,27 +149,6 @@ def ground_positions(rig: ModelJoints, motion: Motion) -> np.ndarray:
     return motion.positions()[:, rig.root][:, GROUND]
 
 
-def continued(
-    given: np.ndarray, output: np.ndarray, count: int, reach: int, continuous: np.ndarray
-) -> np.ndarray:
-    """Return (count, D) to add to the frames after a clip so that they continue from its end.
-
-    Args:
-        given: (T_k, D) vectors of the clip.
-        output: (T_k, D) what the network generated in its place.
-        count: number of frames.
-        reach: frames after which the correction is 0.
-        continuous: (D,) bool, true for columns whose change from frame to frame continues too.
-    """
-    after = np.arange(1, count + 1)[:, None]
-    share = ease(np.clip(1 - after / reach, 0, 1))
-    added = share * (given[-1] - output[-1])
-    if len(given) > 1:
-        change = (given[-1] - given[-2]) - (output[-1] - output[-2])
-        added += after * share**2 * np.where(continuous, change, 0)
-    return added
-
-
 def _fractions(count: int) -> np.ndarray:
     """Return 1/count ... (count - 1)/count."""
     return np.arange(1, count) / count

@@ -131,6 +131,16 @@ def test_the_command_makes_a_model_that_dances_to_features(gesturekit, tmp_path,
     song = af.Wave(np.zeros(32000, np.float32), 16000, source=str(tmp_path / "song.wav"))
     scaled = (test - rows.mean(axis=0)) / rows.std(axis=0)
     assert_allclose(model.conditions.conditioner(song, 60), scaled, rtol=1e-4, atol=1e-4)
+    # The features enter without the sound too, in Python and on the command line.
+    controls = {"style": "gLO", "foot_lock": False, "clip_denoised": True, "seed": 1}
+    alone = model.generate(tmp_path / "song.npz", **controls)
+    assert alone.n_frames == 60
+    assert_allclose(alone.rotations, model.generate(song, **controls).rotations, atol=1e-6)
+    asked = ("render", tmp_path / "song.npz", "--model", tmp_path / "model", "--style", "gLO")
+    gesturekit(*asked, "--steps", 2, "--clip-denoised", "--out", tmp_path / "made").ok()
+    assert gk.Motion.load(tmp_path / "made" / "song.bvh").n_frames == 60
+    demo = ("render", tmp_path / "song.npz", "--model", "demo", "--out", tmp_path / "none")
+    gesturekit(*demo).fails(1, "give the sound")
     moved = model.generate(song, style="gLO", foot_lock=False, clip_denoised=True)
     assert moved.n_frames == 60 and set(moved.skeleton.names) == set(motion.skeleton.names)
     gesturekit("convert-checkpoint", tmp_path / "lda.ckpt", *lists).fails(2, "exists")
