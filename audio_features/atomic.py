@@ -95,7 +95,7 @@ def write_tensors(
     with atomic_write(path) as temporary:
         try:
             plain = {name: tensor.contiguous() for name, tensor in tensors.items()}
-            save_file(plain, temporary, dict(metadata or {}))
+            save_file(plain, temporary, None if metadata is None else dict(metadata))
         except SafetensorError as error:
             # It names the operating system's error only in its text.
             number = re.search(r"os error (\d+)", str(error))
