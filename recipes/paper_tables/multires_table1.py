@@ -99,19 +99,19 @@ def scores(model: MultiresModel, name: str, recording: gk.Motion, samples: int) 
         cells += [number(100 * float(np.mean([s.coverage for s in at]))) for at in found]
         cells.append(number(float(np.mean([s.global_diversity for s in found[0]]))))
         cells.append(number(float(np.mean([s.local_diversity for s in found[0]]))))
-    return [*cells, number(100 * rmse(model.reconstruct(name), recording))]
-
-
-def rmse(made: gk.Motion, recording: gk.Motion) -> float:
-    """Return the root mean square distance (m) of body joints, relative to the first one."""
-    names = body_joints(recording.skeleton)
-    places = [
-        motion.positions()[: min(made.n_frames, recording.n_frames)][
-            :, [motion.skeleton.index(name) for name in names]
-        ]
-        for motion in (made, recording)
+    return [
+        *cells,
+        number(100 * rmse(model.reconstruct(name), recording, model.representation.joints[0])),
     ]
-    apart = np.subtract(*(each - each[:, :1] for each in places))
+
+
+def rmse(made: gk.Motion, recording: gk.Motion, root: str) -> float:
+    """Return the root mean square distance (m) of body joints, relative to the joint `root`."""
+    rig, count = recording.skeleton, min(made.n_frames, recording.n_frames)
+    joints = [rig.index(name) for name in body_joints(rig)]
+    places = [motion.positions()[:count] for motion in (made, recording)]
+    places = [each[:, joints] - each[:, rig.index(root)][:, None] for each in places]
+    apart = np.subtract(*places)
     return float(np.sqrt((apart**2).sum(axis=-1).mean()))
 
 
