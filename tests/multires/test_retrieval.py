@@ -193,7 +193,7 @@ def test_all_controls_move_fingers_and_the_face(state_model, speech):
         ("recorded.1.passive", lambda t: t * torch.nan, "recorded.1.passive"),
         (None, lambda r: r["passive"]["joints"].append("tail"), "tail"),
         (None, lambda r: r["recordings"].append(["Ann", 0]), "recorded.2"),
-        (None, lambda r: r["recordings"].clear(), "recorded"),
+        (None, lambda r: r["recordings"].clear(), "the model is damaged"),
     ],
 )
 def test_a_damaged_folder_is_one_error(state_folder, tmp_path, name, change, named):
