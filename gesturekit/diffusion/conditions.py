@@ -98,7 +98,7 @@ class Conditions:
             speech: (T, S) features of the conditioner.
             path: T frames at `fps`, in metres of the reference body; see `smooth_path`.
             events: with known names; events after the last frame are ignored.
-            style: (T, K) style weights, see `gesturekit.corpus.styles.style_track`.
+            style: (T, K) style weights, see `gesturekit.corpus.speech.style_track`.
 
         Raises:
             ModelError: an event of an unknown name.

@@ -114,6 +114,9 @@ def gradient_penalty(
         fake: (B, D, T).
         mix: (B, 1, 1) uniform in [0, 1], interpolation weights.
         penalty_on: gradient whose norm is penalised, see `LossConfig.penalty_on`.
+
+    On a CPU, `backend: auto` computes it by hand-derived gradients (`multires/cpu/engine.py`),
+    which a test compares with this definition: a change here is a change there.
     """
     between = (mix * fake + (1 - mix) * real).requires_grad_(True)
     (gradient,) = torch.autograd.grad(score(between).sum(), between, create_graph=True)
