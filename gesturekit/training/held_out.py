@@ -41,9 +41,9 @@ class HeldOutMetrics:
 
     Clips are generated as `gesturekit render --corpus` generates them with seed 0, and evaluated by
     `gesturekit.evaluation.evaluate`, so that both say the same of the same clips. Those of the last
-    measurement are kept in the run, with a manifest of the measured intervals and of the training
-    items. Items are read at the first measurement. Training goes on with a warning where nothing
-    can be measured.
+    measurement are kept in the run, with a manifest of the measured intervals and of the items of
+    other splits. Items are read at the first measurement. Training goes on with a warning where
+    nothing can be measured.
 
     Args:
         config: of the run.
@@ -191,8 +191,8 @@ class HeldOutMetrics:
                 asked = item.controls(model) | controls
                 motion = model.generate(speech, seconds=seconds, seed=0, item=item.id, **asked)
                 motion.save(folder / f"{item.id}.npz")
-            training = [item for item in self._corpus if item.split == "train"]
-            manifest = Manifest([*self.items, *(training if self.is_held_out else ())])
+            others = [item for item in self._corpus if item.split != self._fitting[0].split]
+            manifest = Manifest([*self.items, *(others if self.is_held_out else ())])
             manifest.save(folder / "corpus.jsonl")
             split = self.items[0].split
             result = evaluate(folder, folder / "corpus.jsonl", split=split, cheap=True)

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,8 +19,9 @@ DESIGNS = Path(__file__).parent / "designs"
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    given = sys.argv[1:] if argv is None else argv
-    paths = [Path(path) for path in given] or sorted(DESIGNS.glob("*.yaml"))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("designs", nargs="*", type=Path, help="configurations; by default all here")
+    paths = parser.parse_args(argv).designs or sorted(DESIGNS.glob("*.yaml"))
     studies = [load_study_config(path) for path in paths]
     conditions = [len(study.systems) for study in studies]
     ordered = [n * (n - 1) for n in conditions]

@@ -103,4 +103,4 @@ def test_clips_that_do_not_fit_are_errors(model, untrained, clips):
     with pytest.raises(ModelError, match="like.*keep"):
         model.generate(keep=clips, like=clips[0.5], **FAST)
     with pytest.raises(ModelError, match="follows a path"):
-        untrained(path=True).generate(keep=clips, path=clips[4.0], **FAST)
+        untrained(path=True).generate(keep=clips, **FAST)
