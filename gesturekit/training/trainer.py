@@ -133,7 +133,8 @@ class BaseTrainer(ABC):
         )
         for line in self.unused:
             log.warning("%s.", line)
-        log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
+        if self.held_out.items:
+            log.info("Measured at the end and every few minutes: %s.", self.held_out.what)
 
     @abstractmethod
     def run(self) -> None:

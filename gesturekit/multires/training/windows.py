@@ -36,8 +36,8 @@ class Windows:
     Attributes:
         coarser: (N, D, T) output of the level below the stage; None at the first level.
         noise: (N, 1, T_i) for each level of the stage, or None for no noise.
-        conditions: (N, S + K, T_i) for each level of the stage, speech features and one-hot
-            styles; no channels without conditions.
+        conditions: (N, S + K + C, T_i) for each level of the stage: speech features, one-hot
+            styles and state of movement; no channels without conditions.
         speech: (N, S, T_i) the same features, not residual, for the arm-speed loss of random
             steps; empty if it is not used.
         targets: (N, D, T_i) recorded motion; empty for random steps.
