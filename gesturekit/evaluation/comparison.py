@@ -54,7 +54,7 @@ from gesturekit.evaluation.results import (
 )
 from gesturekit.evaluation.statistics.intervals import interval_over_samples
 from gesturekit.evaluation.statistics.model_metrics import metric_results
-from gesturekit.evaluation.statistics.questions import answer, verdict
+from gesturekit.evaluation.statistics.questions import answer_questions, verdict
 from gesturekit.field_docs import build_options
 from gesturekit.formats.sources import load
 from gesturekit.motion import Motion
@@ -210,7 +210,7 @@ def evaluate(
 def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str) -> None:
     """Answer the three questions, and add notes on models and recordings that flatter them."""
     if POOLED in PROTOCOLS[protocol]:
-        answer(models)
+        answer_questions(models)
     mark_unlike(models)
     if isinstance(reference, Items) and reference.split:
         beside = neighbours((*reference.items, *reference.others), reference.split)

@@ -96,7 +96,7 @@ class GroupLikeness:
     """Likeness of a model to one speaker, or one style of a speaker; see `statistics.likeness`.
 
     Attributes:
-        name: the group, of `statistics.groups`.
+        name: the group, of `statistics.intervals.groups_of`.
         takes: names of the takes that the model has clips of.
         value: likeness, 0 to 1: the model's score over the speaker's own.
         own: the speaker's own score, 0 to 1.
@@ -282,7 +282,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Finding:
+class QuestionAnswer:
     """The answer to one of the three questions that head a report.
 
     Attributes:
@@ -320,7 +320,7 @@ class ModelResult:
     label: str
     path: Path
     verdict: str = ""
-    answers: list[Finding] = field(default_factory=list)
+    answers: list[QuestionAnswer] = field(default_factory=list)
     metrics: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)

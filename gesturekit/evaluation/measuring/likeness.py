@@ -29,7 +29,7 @@ from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.two_sample import motion_windows
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import OTHER_SPEAKER, ClipResult, GroupLikeness, Level
-from gesturekit.evaluation.statistics.groups import groups_of
+from gesturekit.evaluation.statistics.intervals import groups_of
 from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, level_of
 from gesturekit.evaluation.statistics.likeness import Credits, Relative, credits, relative
 from gesturekit.motion import Motion

@@ -43,8 +43,7 @@ from gesturekit.evaluation.metrics.two_sample import (
 )
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import Level, MetricResult
-from gesturekit.evaluation.statistics.groups import groups_of
-from gesturekit.evaluation.statistics.intervals import whole_set
+from gesturekit.evaluation.statistics.intervals import groups_of, whole_set
 from gesturekit.evaluation.statistics.levels import CEILING, level_of
 from gesturekit.motion import Motion, Skeleton
 
