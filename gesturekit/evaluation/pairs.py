@@ -36,6 +36,8 @@ _SAMPLE = re.compile(r"_s\d+$")
 _CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
 Source = TypeVar("Source")
+Window = tuple[str, int | None]
+"""A recording and the index of its 10 s window; None for the whole recording."""
 
 
 class _ManifestItem(Protocol):
@@ -202,6 +204,11 @@ class Pair:
         if not self.take:
             item = self.reference.item if isinstance(self.reference, ItemInterval) else None
             object.__setattr__(self, "take", (item and item.take) or self.stem)
+
+    @property
+    def of(self) -> Window:
+        """The recording, or the window of it, that the clip was generated for."""
+        return self.stem, self.window
 
     @property
     def speaker(self) -> str | None:

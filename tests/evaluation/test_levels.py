@@ -123,8 +123,7 @@ def test_models_that_ignore_the_speech_are_floors_of_the_others():
         pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(3)]
         metrics, recorded = {"in_time": timing, "reach": 0.2}, {"in_time": own, "reach": 0.3}
         clips = [ClipResult(pair, 9.0, dict(metrics), recorded, {}) for pair in pairs]
-        sets = {"pooled": {"metrics": {}}, "frechet": {"metrics": {}}}
-        return ModelResult(label, Path(label), clips=clips, metrics=metric_results(clips, sets, {}))
+        return ModelResult(label, Path(label), clips=clips, metrics=metric_results(clips, {}, {}))
 
     models = [model("ours", 0.28, 0.4), model("speech_blind", 0.3, 0.4)]
     answer_questions(models)

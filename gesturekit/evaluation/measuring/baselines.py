@@ -7,9 +7,10 @@ listen to the speech.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -57,12 +58,34 @@ def baseline_pairs(
     training = reference.training if isinstance(reference, Items) else ()
     source = {item.id: ItemInterval(item) for item in training} or every
     first = next(iter(models.values()))
-    windows = {(pair.stem, pair.window): pair for pair in first.pairs}
+    windows = {pair.of: pair for pair in first.pairs}
     made = {}
     for name in names:
-        load = BASELINES[name](every, source, fps)
-        made[name] = Pairs([_pair(pair, load, fps) for pair in windows.values()])
+        baseline = BASELINES[name].of(every, source, fps)
+        items = [
+            (pair, _BaselineItem(_name(pair), pair, fps, baseline)) for pair in windows.values()
+        ]
+        pairs = [replace(pair, name=item.id, generated=ItemInterval(item)) for pair, item in items]
+        made[name] = Pairs(pairs)
     return made
+
+
+def _name(pair: Pair) -> str:
+    return pair.stem if pair.window is None else f"{pair.stem}_w{pair.window:03d}"
+
+
+_Recordings = Mapping[str, Path | ItemInterval]
+
+
+class Baseline(Protocol):
+    """Makes motion from recordings; worker processes are handed a copy."""
+
+    def __call__(self, pair: Pair, n_frames: int) -> Motion:
+        """Return the motion for a recording, of a number of frames at most."""
+
+    @classmethod
+    def of(cls, every: _Recordings, source: _Recordings, fps: float) -> Baseline:
+        """Return the baseline of all recordings; `source` are those that may be known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +93,9 @@ class _BaselineItem:
     """A baseline's clip, made when it is needed; a manifest item without files."""
 
     id: str
-    load_motion: Callable[[], Motion]
+    pair: Pair
+    fps: float
+    make: Baseline
     take: str = ""
     speaker: str | None = None
     style: str | None = None
@@ -80,32 +105,63 @@ class _BaselineItem:
     motion_start: float = 0.0
     duration: float = math.inf
 
+    def load_motion(self) -> Motion:
+        pair = self.pair
+        n_frames = load_recording(pair.reference, self.fps).n_frames
+        if pair.window is not None:
+            start = round(pair.window * WINDOW_SECONDS * self.fps)
+            n_frames = min(round(WINDOW_SECONDS * self.fps), n_frames - start)
+        if n_frames < 1:
+            raise MotionError(f"{pair.stem} ends before its window {pair.window} begins")
+        return self.make(pair, n_frames)
+
     def load_wave(self) -> Wave:
         raise EvaluationError(f"{self.id}: a baseline has no sound of its own")
 
 
-Loader = Callable[[Pair, int], Motion]
-"""Function of a pair and a number of frames that makes the baseline's motion."""
-_Recordings = Mapping[str, Path | ItemInterval]
+@dataclass(frozen=True, eq=False)
+class _MeanPose:
+    """The mean pose of the recordings, held still."""
 
+    pose: Motion
 
-def _mean_pose(every: _Recordings, source: _Recordings, fps: float) -> Loader:
-    """Return a loader of the mean pose of the recordings in `source`, held still."""
-    sample, rigs = MotionSample(seed=0), set()
-    for path in source.values():
-        sample.add(motion := load_recording(path, fps))
-        rigs.add(motion.skeleton.names)
-    if len(rigs) > 1:
-        raise EvaluationError("baseline mean_pose needs recordings of one rig")
-    (rig,), pose = rigs, mean_pose(sample.motions)
+    @classmethod
+    def of(cls, every: _Recordings, source: _Recordings, fps: float) -> _MeanPose:
+        sample, rigs = MotionSample(seed=0), set()
+        for path in source.values():
+            sample.add(motion := load_recording(path, fps))
+            rigs.add(motion.skeleton.names)
+        if len(rigs) > 1:
+            raise EvaluationError("baseline mean_pose needs recordings of one rig")
+        return cls(mean_pose(sample.motions))
 
-    def load(pair: Pair, n_frames: int) -> Motion:
-        recording = load_recording(pair.reference, fps)
-        if recording.skeleton.names != rig:
+    def __call__(self, pair: Pair, n_frames: int) -> Motion:
+        rig = load_recording(pair.reference, self.pose.fps).skeleton
+        if rig.names != self.pose.skeleton.names:
             raise MotionError(f"{pair.stem}: its rig differs from that of the mean pose")
-        return replace(held(pose, n_frames), skeleton=recording.skeleton)
+        return replace(held(self.pose, n_frames), skeleton=rig)
 
-    return load
+
+@dataclass(frozen=True, eq=False)
+class _OtherUtterance:
+    """The next recording, from its start; one of the training motion if there is only one."""
+
+    others: _Recordings
+    fps: float
+
+    @classmethod
+    def of(cls, every: _Recordings, source: _Recordings, fps: float) -> _OtherUtterance:
+        if len({*every, *source}) < 2:
+            raise EvaluationError(
+                "baseline other_utterance needs a second recording; there is only "
+                f"{next(iter(every))!r}"
+            )
+        return cls(every if len(every) > 1 else source, fps)
+
+    def __call__(self, pair: Pair, n_frames: int) -> Motion:
+        keys = list(self.others)
+        after = (keys.index(pair.stem) + 1) % len(keys) if pair.stem in self.others else 0
+        return load_recording(self.others[keys[after]], self.fps)[:n_frames]
 
 
 def mean_pose(motions: Sequence[Motion]) -> Motion:
@@ -138,42 +194,8 @@ def held(pose: Motion, n_frames: int) -> Motion:
     )
 
 
-def _other_utterance(every: _Recordings, source: _Recordings, fps: float) -> Loader:
-    """Return a loader of the next recording, from its start; of `source` if there is only one."""
-    if len({*every, *source}) < 2:
-        raise EvaluationError(
-            "baseline other_utterance needs a second recording; there is only "
-            f"{next(iter(every))!r}"
-        )
-
-    def load(pair: Pair, n_frames: int) -> Motion:
-        others = every if len(every) > 1 else source
-        keys = list(others)
-        after = (keys.index(pair.stem) + 1) % len(keys) if pair.stem in others else 0
-        motion = load_recording(others[keys[after]], fps)
-        return motion[:n_frames]
-
-    return load
-
-
-BASELINES: Mapping[str, Callable[[_Recordings, _Recordings, float], Loader]] = {
-    "mean_pose": _mean_pose,
-    "other_utterance": _other_utterance,
+BASELINES: Mapping[str, type[Baseline]] = {
+    "mean_pose": _MeanPose,
+    "other_utterance": _OtherUtterance,
 }
 """Baselines by name."""
-
-
-def _pair(pair: Pair, load: Loader, fps: float) -> Pair:
-    """Return the pair with the baseline's motion instead of the model's."""
-    name = pair.stem if pair.window is None else f"{pair.stem}_w{pair.window:03d}"
-
-    def made() -> Motion:
-        n_frames = load_recording(pair.reference, fps).n_frames
-        if pair.window is not None:
-            start = round(pair.window * WINDOW_SECONDS * fps)
-            n_frames = min(round(WINDOW_SECONDS * fps), n_frames - start)
-        if n_frames < 1:
-            raise MotionError(f"{pair.stem} ends before its window {pair.window} begins")
-        return load(pair, n_frames)
-
-    return replace(pair, name=name, generated=ItemInterval(_BaselineItem(name, made)))

@@ -71,7 +71,11 @@ def ceilings(
         takes = Takes.of([pair for _, pair in has])
         found[key] = interval_of([v for v, _ in has], takes, DEFINITIONS[key].within), note
     halves = _halves(list(chosen.values()))
-    sets = {"hellinger": hellinger(*(_speeds(half, joints) for half in halves))}
+    sets = {
+        "hellinger": hellinger(
+            *(SpeedHistogram.of(relative_speed(m, joints) for m in half) for half in halves)
+        )
+    }
     try:
         if SIMILARITY in measure.groups:
             both = [similarity.pose_pair(c.generated, c.recording, joints) for c in clips]
@@ -128,7 +132,3 @@ def _halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
     (motion,) = motions
     middle = max(1, motion.n_frames // 2)
     return [motion[:middle]], [motion[middle:]]
-
-
-def _speeds(motions: Sequence[Motion], joints: Sequence[str]) -> SpeedHistogram:
-    return SpeedHistogram.of([relative_speed(motion, joints).ravel() for motion in motions])

@@ -21,17 +21,28 @@ from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.definitions import MOVEMENT, POOLED
 from gesturekit.evaluation.measuring.baselines import held, mean_pose
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
-from gesturekit.evaluation.measuring.clips import Clip, load_clip, load_recording
-from gesturekit.evaluation.measuring.rigs import matched
+from gesturekit.evaluation.measuring.clips import Clip, load_clip, load_recording, matched
 from gesturekit.evaluation.measuring.samples import copied
 from gesturekit.evaluation.metrics.diagonals import frame_distances
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.two_sample import motion_windows
-from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.results import OTHER_SPEAKER, ClipResult, GroupLikeness, Level
+from gesturekit.evaluation.pairs import Pair, Window
+from gesturekit.evaluation.results import (
+    OTHER_SPEAKER,
+    ClipResult,
+    GroupLikeness,
+    Level,
+    MetricResult,
+)
 from gesturekit.evaluation.statistics.intervals import groups_of
 from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, level_of
-from gesturekit.evaluation.statistics.likeness import Credits, Relative, credits, relative
+from gesturekit.evaluation.statistics.likeness import (
+    Credits,
+    Relative,
+    credits,
+    likeness_result,
+    relative,
+)
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 
@@ -251,11 +262,11 @@ class LikenessMeasurer:
         groups = [group for group in (MOVEMENT, POOLED) if group in self.measure.groups]
         self.measure = ClipMetrics(self.measure.statistics, groups, self.measure.variants)
 
-    def __call__(self, clips: Sequence[ClipResult]) -> tuple[list[GroupLikeness], dict[str, Level]]:
-        """Return the likeness of a model by group, and {name: level} of ceiling and floors."""
-        first: dict[tuple[str, int | None], ClipResult] = {}  # one sample of each recording
+    def __call__(self, clips: Sequence[ClipResult]) -> MetricResult | None:
+        """Return the likeness of a model; None where no group has enough to compare."""
+        first: dict[Window, ClipResult] = {}  # one sample of each recording
         for clip in clips:
-            first.setdefault((clip.pair.stem, clip.pair.window), clip)
+            first.setdefault(clip.pair.of, clip)
         stems = {clip.pair.stem for clip in clips}
         others = [pair for pair in self.recordings if pair.stem not in stems]
         every = [*(clip.pair for clip in first.values()), *others]
@@ -267,7 +278,8 @@ class LikenessMeasurer:
             if group is not None:
                 found.append(group[0])
                 levels.append(group[1])
-        return found, _pooled_levels(levels, all(group.pieces for group in found))
+        pooled = _pooled_levels(levels, all(group.pieces for group in found))
+        return likeness_result(found, pooled, len(clips))
 
     def _group(
         self, name: str, clips: Sequence[ClipResult], others: Sequence[Pair]
@@ -285,7 +297,7 @@ class LikenessMeasurer:
             joints = tuple(n for n in upper if all(n in motion.joints for _, motion in loaded))
         except MotionError:
             return None
-        key = (name, joints, *((c.pair.stem, c.pair.window) for c, _ in loaded))
+        key = (name, joints, *(c.pair.of for c, _ in loaded))
         if key not in self._known:
             self._known[key] = self._reference(others, chosen, loaded)
         reference, pieces, cut = self._known[key]
