@@ -184,16 +184,9 @@ def evaluate(
     pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
     measurer, statistics = _measurer(pairs, reference, fps, takes, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    models = [
-        _model(
-            ModelResult(label, folders.get(label, Path(label))),
-            of_model,
-            measured[label],
-            measurer,
-            chosen,
-        )
-        for label, of_model in pairs.items()
-    ]
+    models = [ModelResult(label, folders.get(label, Path(label))) for label in pairs]
+    for model in models:
+        _fill(model, pairs[model.label], measured[model.label], measurer, chosen)
     _judge(models, reference, chosen.protocol)
     first = measured[models[0].label].sets[POOLED_PART]
     models[0].excluded += [*statistics.excluded, *first.training_excluded]
@@ -332,14 +325,14 @@ def _frame_rate(pairs: Pairs) -> float:
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
 
 
-def _model(
+def _fill(
     result: ModelResult,
     pairs: Pairs,
     measured: Measured,
     measurer: Measurer,
     options: EvaluationOptions,
-) -> ModelResult:
-    """Return the results of a model, from the measurements of its clips and of their set.
+) -> None:
+    """Fill in the results of a model, from the measurements of its clips and of their set.
 
     Raises:
         EvaluationError: no clip could be measured.
@@ -373,7 +366,6 @@ def _model(
     for (key, reason), names in problems.items():
         title = DEFINITIONS[key].name if key in DEFINITIONS else key
         result.excluded.append(Excluded(listed(names, 3), reason, title))
-    return result
 
 
 def _by_recording(clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:

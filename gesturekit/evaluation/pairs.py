@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import CorpusError
 from gesturekit.formats.registry import MOTION_SUFFIXES
-from gesturekit.formats.sources import SPEECH_SUFFIXES, visible_folders
+from gesturekit.formats.sources import SPEECH_SUFFIXES, load, visible_folders
 from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
@@ -121,7 +121,9 @@ class Items:
             CorpusError: no recording was found.
         """
         files = motion_files(path).items()
-        return cls(path, "", tuple(_File(key, file, reading) for key, file in files))
+        return cls(
+            path, "", tuple(_File(id=key, motion=file, reading=reading) for key, file in files)
+        )
 
     @classmethod
     def of_manifest(cls, path: Path, split: str) -> Items:
@@ -152,13 +154,12 @@ class Items:
         return f"split {self.split} of {self.path}" if self.split else str(self.path)
 
 
-@dataclass(frozen=True)
-class _File:
-    """A motion file with reading options."""
+@dataclass(frozen=True, kw_only=True)
+class BareItem:
+    """Motion without a manifest, with the fields of a manifest's item."""
 
     id: str
-    motion: Path
-    reading: Mapping[str, Any]
+    motion: Path | None = None
     audio: Path | None = None
     speaker: str | None = None
     style: str | None = None
@@ -167,13 +168,24 @@ class _File:
     motion_start: float = 0.0
     duration: float = math.inf
 
-    def load_motion(self) -> Motion:
-        from gesturekit.formats.sources import load
-
-        return load(self.motion, self.reading)
-
     def load_wave(self) -> Wave:
-        raise CorpusError(f"{self.motion}: no sound goes with it")
+        """Refuse: there is no sound.
+
+        Raises:
+            CorpusError: always.
+        """
+        raise CorpusError(f"{self.motion or self.id}: no sound goes with it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(BareItem):
+    """A motion file with reading options."""
+
+    motion: Path
+    reading: Mapping[str, Any]
+
+    def load_motion(self) -> Motion:
+        return load(self.motion, self.reading)
 
 
 @dataclass(frozen=True, order=True)

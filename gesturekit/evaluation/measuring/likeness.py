@@ -19,7 +19,7 @@ import numpy as np
 from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.definitions import MOVEMENT, POOLED
-from gesturekit.evaluation.measuring.baselines import held, mean_pose
+from gesturekit.evaluation.made_motion import chosen_frames, held, mean_pose
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, load_clip, load_recording, matched
 from gesturekit.evaluation.measuring.samples import copied
@@ -211,7 +211,9 @@ def _rows(
     """Return windows (N, D) of takes, evenly chosen, and the index (N,) of the take of each."""
     rows, owners = [np.empty((0, 1))], [np.empty(0, int)]
     for at, take in enumerate(takes):
-        motions = [_backwards(m) for m in take.motions] if back else list(take.motions)
+        motions = list(take.motions)
+        if back:
+            motions = [chosen_frames(m, np.arange(m.n_frames)[::-1]) for m in motions]
         try:
             windows = motion_windows(motions, joints, mirrored=mirrored)
         except MotionError:
@@ -220,16 +222,6 @@ def _rows(
         rows.append(windows.rows(kept))
         owners.append(np.full(len(kept), at))
     return np.concatenate(rows[1:] or rows), np.concatenate(owners)
-
-
-def _backwards(motion: Motion) -> Motion:
-    moved = {name: places[::-1] for name, places in motion.joint_translations.items()}
-    return replace(
-        motion,
-        rotations=motion.rotations[::-1],
-        translation=motion.translation[::-1],
-        joint_translations=moved,
-    )
 
 
 def _means(sides: Sequence[Mapping[str, float]]) -> dict[str, float]:

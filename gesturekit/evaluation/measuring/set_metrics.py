@@ -286,7 +286,8 @@ def frechet_metrics(
     for clip in clips:
         pairs.append(clip.pair)
         generated.add(clip.generated)
-        joints = tuple(name for name in joints or clip.joints if name in clip.joints)
+        known = clip.joints if joints is None else joints
+        joints = tuple(name for name in known if name in clip.joints)
         if clip.pair.of not in windows:
             windows.add(clip.pair.of)
             recorded.add(clip.recording)
