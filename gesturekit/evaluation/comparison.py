@@ -213,8 +213,7 @@ def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str
 
 def _takes(reference: Path | Items, options: EvaluationOptions) -> dict[str, str]:
     """Return {recording: take} of those that the options give a take."""
-    others = [item.id for item in reference.others] if isinstance(reference, Items) else []
-    names = [*recordings(reference), *others]
+    names = list(recordings(reference, all_splits=True))
     return takes_of(names, options.take_pattern, options.take_table)
 
 
@@ -263,7 +262,8 @@ def _measurer(
     options: EvaluationOptions,
 ) -> tuple[Measurer, ReferenceStatistics]:
     """Return all that is to be measured, and the statistics of the recordings."""
-    compared = _compared(reference, options.protocol)
+    # In Table 4 of Alexanderson et al. 2023 sets are compared with the full dataset: all splits.
+    compared = recordings(reference, all_splits=options.protocol == "lda")
     statistics = ReferenceStatistics.of(compared, fps)
     measurer = Measurer(
         measure=ClipMetrics(statistics, options.groups, options.variants, options.cheap),
@@ -278,17 +278,6 @@ def _measurer(
         takes=takes,
     )
     return measurer, statistics
-
-
-def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemInterval]:
-    """Return the recordings that sets of clips are compared with.
-
-    In Table 4 of Alexanderson et al. 2023 this is the full dataset: all splits of a manifest.
-    """
-    every = {**recordings(reference)}
-    if protocol == "lda" and isinstance(reference, Items):
-        every |= {item.id: ItemInterval(item) for item in reference.others}
-    return every
 
 
 def _recordings(

@@ -366,17 +366,24 @@ def _matched(
         )
 
 
-def recordings(reference: Path | Items) -> Mapping[str, Path | ItemInterval]:
+def recordings(
+    reference: Path | Items, *, all_splits: bool = False
+) -> dict[str, Path | ItemInterval]:
     """Return {key: motion} of all recordings of a folder, a file or a manifest.
+
+    Args:
+        reference: the recordings.
+        all_splits: take the items of the manifest's other splits as well.
 
     Raises:
         CorpusError: no motion was found.
     """
     if isinstance(reference, Path):
-        return motion_files(reference)
+        return {**motion_files(reference)}
     if not reference.intervals:
         raise CorpusError(f"{reference}: no item has motion to compare with")
-    return dict(reference.intervals)
+    others = reference.others if all_splits else ()
+    return {**reference.intervals, **{item.id: ItemInterval(item) for item in others}}
 
 
 def motion_files(path: Path) -> dict[str, Path]:

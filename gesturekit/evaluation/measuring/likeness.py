@@ -22,7 +22,7 @@ from gesturekit.evaluation.definitions import MOVEMENT, POOLED
 from gesturekit.evaluation.made_motion import chosen_frames, held, mean_pose
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, load_clip, load_recording, matched
-from gesturekit.evaluation.measuring.samples import copied
+from gesturekit.evaluation.measuring.samples import copied, evenly
 from gesturekit.evaluation.metrics.diagonals import frame_distances
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.two_sample import motion_windows
@@ -279,7 +279,7 @@ class LikenessMeasurer:
         by_take: dict[str, list[ClipResult]] = {}
         for clip in clips:
             by_take.setdefault(clip.pair.take, []).append(clip)
-        chosen = {t: _evenly(c, MOST_CLIPS) for t, c in _some(by_take, MOST_TAKES).items()}
+        chosen = {t: evenly(c, MOST_CLIPS) for t, c in _some(by_take, MOST_TAKES).items()}
         loaded = [(clip, self._loaded(clip.pair)) for take in chosen.values() for clip in take]
         loaded = [(clip, motion) for clip, motion in loaded if motion is not None]
         if not loaded:
@@ -430,8 +430,4 @@ def _takes(names: Sequence[str], clips: Sequence[tuple[Mapping, Motion]]) -> lis
 
 
 def _some(takes: Mapping[str, list], most: int) -> dict[str, list]:
-    return {name: takes[name] for name in _evenly(list(takes), most)}
-
-
-def _evenly(items: list, most: int) -> list:
-    return items[:: -(-len(items) // most)] if items else []
+    return {name: takes[name] for name in evenly(list(takes), most)}

@@ -239,10 +239,8 @@ class Measurer:
 
     @functools.cached_property
     def _likeness(self) -> LikenessMeasurer:
-        recorded = {**recordings(self.reference)}
-        if isinstance(self.reference, Items):
-            recorded |= {item.id: ItemInterval(item) for item in self.reference.others}
-        every = [self._with_itself(name, source) for name, source in recorded.items()]
+        sources = recordings(self.reference, all_splits=True)
+        every = [self._with_itself(name, source) for name, source in sources.items()]
         return LikenessMeasurer(self.measure, every, self.fps, self.without, self.seed)
 
     def _with_itself(self, name: str, source: Path | ItemInterval) -> Pair:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from gesturekit.evaluation.metrics.hands import FPS
 from gesturekit.evaluation.pairs import Excluded, ItemInterval, Items
 from gesturekit.motion import Motion
 
+T = TypeVar("T")
 MOST_BYTES = 300_000_000
 """Memory of the rotations of a sample, at most: 70 minutes at 30 fps with 75 joints."""
 PIECE_SECONDS = 10.0
@@ -213,18 +215,30 @@ class SpeakerClips:
             return [(self.recorded, self.training)]
         takes = sorted(set(self.takes))
         if len(takes) > 1:
-            chosen = takes[:: -(-len(takes) // MOST_TAKES)]
             every = list(zip(self.recorded, self.takes))
             return [
                 ([m for m, take in every if take == held], [m for m, take in every if take != held])
-                for held in chosen
+                for held in evenly(takes, MOST_TAKES)
             ]
-        if len(self.recorded) > 1:
-            halves = self.recorded[::2], self.recorded[1::2]
-        else:
-            (motion,) = self.recorded
-            middle = motion.n_frames // 2
-            if middle < 1:
-                raise MotionError("the recording is too short to be cut into halves")
-            halves = [motion[:middle]], [motion[middle:]]
-        return [halves, halves[::-1]]
+        both = halves(self.recorded)
+        return [both, both[::-1]]
+
+
+def halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
+    """Return every other recording, and the rest; of a single one its halves.
+
+    Raises:
+        MotionError: a single one has one frame.
+    """
+    if len(motions) > 1:
+        return list(motions[::2]), list(motions[1::2])
+    (motion,) = motions
+    middle = motion.n_frames // 2
+    if middle < 1:
+        raise MotionError("the recording is too short to be cut into halves")
+    return [motion[:middle]], [motion[middle:]]
+
+
+def evenly(items: Sequence[T], most: int) -> Sequence[T]:
+    """Return every k-th item, with the least k that leaves at most `most`."""
+    return items[:: max(1, -(-len(items) // most))]
