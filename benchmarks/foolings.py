@@ -20,14 +20,20 @@ import gesturekit as gk
 from audio_features import Wave
 from gesturekit.corpus import Item, Manifest
 from gesturekit.corpus.alignment import speech_envelope
+from gesturekit.evaluation.made_motion import (
+    chosen_frames,
+    halved,
+    held,
+    mean_pose,
+    shaken,
+    turned,
+)
 from gesturekit.evaluation.pairs import motion_files
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import arm_joints, find_parts
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import (
-    mean_quaternion,
     multiply_quaternions,
-    quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
     slerp,
 )
@@ -58,27 +64,9 @@ class Source:
     number: int
 
 
-def _mean_pose(motion: Motion) -> np.ndarray:
-    """Return (T, J, 4) the mean pose, held."""
-    mean = [mean_quaternion(motion.rotations[:, j]) for j in range(motion.skeleton.n_joints)]
-    return np.tile(np.stack(mean), (motion.n_frames, 1, 1))
-
-
-def _posed(source: Source, rotations: np.ndarray) -> Motion:
-    """Return a body that stands, with rotations (T, J, 4)."""
-    place = np.tile(source.motion.translation.mean(axis=0), (source.motion.n_frames, 1))
-    return replace(source.motion, rotations=rotations, translation=place)
-
-
-def _frames(motion: Motion, frames: np.ndarray) -> Motion:
-    """Return chosen frames (T,) of a motion, in that order."""
-    moved = {name: values[frames] for name, values in motion.joint_translations.items()}
-    return replace(
-        motion,
-        rotations=motion.rotations[frames],
-        translation=motion.translation[frames],
-        joint_translations=moved,
-    )
+def statue(source: Source) -> Motion:
+    """Hold the mean pose."""
+    return held(mean_pose([source.motion]), source.motion.n_frames)
 
 
 def _loudness(source: Source) -> np.ndarray:
@@ -88,15 +76,6 @@ def _loudness(source: Source) -> np.ndarray:
     return (level - level.min()) / max(float(np.ptp(level)), 1e-9)
 
 
-def _turned(rotations: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    return multiply_quaternions(rotations, quaternion_from_rotation_vector(vectors))
-
-
-def statue(source: Source) -> Motion:
-    """Hold the mean pose."""
-    return _posed(source, _mean_pose(source.motion))
-
-
 def nodding_statue(source: Source) -> Motion:
     """Swing the arms and the head of the mean pose with the loudness."""
     skeleton = source.motion.skeleton
@@ -104,34 +83,31 @@ def nodding_statue(source: Source) -> Motion:
     vectors = np.zeros((source.motion.n_frames, skeleton.n_joints, 3))
     for name in moving:
         vectors[:, skeleton.index(name), 0] = 0.5 * _loudness(source)
-    return _posed(source, _turned(_mean_pose(source.motion), vectors))
+    return turned(statue(source), vectors)
 
 
 def pose_and_noise(source: Source) -> Motion:
     """Add smooth noise, about as large as the recording's movement, to the mean pose."""
     motion, rng = source.motion, np.random.default_rng(source.number)
-    away = _away(motion)
+    away = _away(source)
     noise = gaussian_filter1d(rng.standard_normal(away.shape), 0.2 * motion.fps, axis=0)
     noise *= away.std(axis=0) / np.maximum(noise.std(axis=0), 1e-9)
-    return _posed(source, _turned(_mean_pose(motion), noise))
+    return turned(statue(source), noise)
 
 
 def phase_noise(source: Source) -> Motion:
     """Keep the spectrum of each joint's rotation, with random phases."""
-    away, rng = _away(source.motion), np.random.default_rng(source.number)
+    away, rng = _away(source), np.random.default_rng(source.number)
     spectrum = np.fft.rfft(away, axis=0)
     turn = np.exp(2j * np.pi * rng.random(spectrum.shape))
     turn[0] = 1.0
-    return _posed(
-        source,
-        _turned(_mean_pose(source.motion), np.fft.irfft(spectrum * turn, len(away), axis=0)),
-    )
+    return turned(statue(source), np.fft.irfft(spectrum * turn, len(away), axis=0))
 
 
-def _away(motion: Motion) -> np.ndarray:
+def _away(source: Source) -> np.ndarray:
     """Return (T, J, 3) rotation vectors from the mean pose."""
-    back = _mean_pose(motion) * (-1.0, -1.0, -1.0, 1.0)
-    return rotation_vector_from_quaternion(multiply_quaternions(back, motion.rotations))
+    back = statue(source).rotations * (-1.0, -1.0, -1.0, 1.0)
+    return rotation_vector_from_quaternion(multiply_quaternions(back, source.motion.rotations))
 
 
 def another_speaker(source: Source) -> Motion | None:
@@ -150,21 +126,17 @@ def mirrored(source: Source) -> Motion:
 
 def half_amplitude(source: Source) -> Motion:
     """Halve all rotations about the mean pose."""
-    mean = _mean_pose(source.motion)
-    half = slerp(mean, source.motion.rotations, np.full(mean.shape[:-1], 0.5))
-    return replace(source.motion, rotations=half)
+    return halved(source.motion, source.motion.skeleton.names)
 
 
 def _shifted(source: Source, seconds: float) -> Motion:
     motion = source.motion
-    return _frames(motion, np.roll(np.arange(motion.n_frames), round(seconds * motion.fps)))
+    return chosen_frames(motion, np.roll(np.arange(motion.n_frames), round(seconds * motion.fps)))
 
 
 def jitter(source: Source) -> Motion:
     """Turn each joint by .5° of noise in each frame."""
-    rng = np.random.default_rng(source.number)
-    noise = np.radians(0.5) * rng.standard_normal((*source.motion.rotations.shape[:2], 3))
-    return replace(source.motion, rotations=_turned(source.motion.rotations, noise))
+    return shaken(source.motion, np.radians(0.5), source.number)
 
 
 def copied_arms(source: Source) -> Motion:
@@ -186,7 +158,7 @@ def warped(source: Source) -> Motion:
     speed *= (motion.n_frames - 1) / speed[1:].sum()
     at = np.clip(np.concatenate([[0.0], np.cumsum(speed[1:])]), 0, motion.n_frames - 1)
     before = np.minimum(at.astype(int), motion.n_frames - 2)
-    first, second = _frames(motion, before), _frames(motion, before + 1)
+    first, second = chosen_frames(motion, before), chosen_frames(motion, before + 1)
     share = np.tile((at - before)[:, None], (1, motion.skeleton.n_joints))
     place = first.translation + share[:, :1] * (second.translation - first.translation)
     rotations = slerp(first.rotations, second.rotations, share)
@@ -197,7 +169,8 @@ def broken(source: Source) -> Motion:
     """Turn each joint by smooth noise of 60°."""
     rng = np.random.default_rng(source.number)
     noise = gaussian_filter1d(rng.standard_normal((*source.motion.rotations.shape[:2], 3)), 8, 0)
-    return _posed(source, _turned(source.motion.rotations, noise / noise.std()))
+    standing = replace(source.motion, translation=statue(source).translation)
+    return turned(standing, noise / noise.std())
 
 
 FOOLINGS: Mapping[str, Callable[[Source], Motion | None]] = {

@@ -46,7 +46,7 @@ _INTERNAL = {
     "pairs": "Excluded ItemInterval Pair find_pairs",
     "report.rows": "interval_warnings",
     "report.text": "headline_lines",
-    "results": "ClipResult Finding Interval Level MetricResult ModelResult",
+    "results": "ClipResult Interval Level MetricResult ModelResult QuestionAnswer",
     "statistics.answers": "Answer Answers GENEA_COLUMNS",
     "statistics.intervals": (
         "Takes holm interval_of interval_of_statistic interval_over_samples p_value pseudo_values "
@@ -54,7 +54,7 @@ _INTERNAL = {
     ),
     "statistics.model_metrics": "above_chance informative metric_results",
     "statistics.paired": "Contest contests distance p_of_difference",
-    "statistics.questions": "answer answers verdict",
+    "statistics.questions": "answer_questions answers_of verdict",
 }
 """Names that are imported within the project."""
 __all__, __getattr__, __dir__ = attach(

@@ -9,8 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from gesturekit.corpus.takes import merged_speakers, neighbours, pieces_of_takes, takes_of
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.definitions import (
@@ -29,12 +27,17 @@ from gesturekit.evaluation.measuring.alike import (
     mark_unlike,
 )
 from gesturekit.evaluation.measuring.baselines import baseline_pairs
-from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceStatistics
 from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files
-from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
-from gesturekit.evaluation.measuring.measurer import MISMATCHED, Measurer
-from gesturekit.evaluation.measuring.work import Measured, Progress, measure_all
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation.measuring.measurer import (
+    FRECHET_PART,
+    MISMATCHED,
+    POOLED_PART,
+    Measured,
+    Measurer,
+    Progress,
+    measure_all,
+)
 from gesturekit.evaluation.metrics.frame_rate import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
@@ -46,15 +49,10 @@ from gesturekit.evaluation.pairs import (
     find_pairs,
     recordings,
 )
-from gesturekit.evaluation.results import (
-    ClipResult,
-    Evaluation,
-    Interval,
-    ModelResult,
-)
+from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
 from gesturekit.evaluation.statistics.intervals import interval_over_samples
 from gesturekit.evaluation.statistics.model_metrics import metric_results
-from gesturekit.evaluation.statistics.questions import answer, verdict
+from gesturekit.evaluation.statistics.questions import answer_questions, verdict
 from gesturekit.field_docs import build_options
 from gesturekit.formats.sources import load
 from gesturekit.motion import Motion
@@ -186,31 +184,27 @@ def evaluate(
     pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
     measurer, statistics = _measurer(pairs, reference, fps, takes, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    models = [
-        _model(
-            ModelResult(label, folders.get(label, Path(label))), some, measured, measurer, chosen
-        )
-        for label, some in pairs.items()
-    ]
+    models = [ModelResult(label, folders.get(label, Path(label))) for label in pairs]
+    for model in models:
+        _fill(model, pairs[model.label], measured[model.label], measurer, chosen)
     _judge(models, reference, chosen.protocol)
-    first = measured.sets[models[0].label]["pooled"]
-    unread = [Excluded(**item) for item in first.get("training_excluded", ())]
-    models[0].excluded += [*statistics.excluded, *unread]
+    first = measured[models[0].label].sets[POOLED_PART]
+    models[0].excluded += [*statistics.excluded, *first.training_excluded]
     return Evaluation(
         models=models,
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=chosen.protocol,
         settings=chosen.to_json(split),
-        recorded_speeds=SpeedHistogram.from_json(first.get("recorded_speeds")),
-        recorded_wrists=np.array(first.get("recorded_wrists", ())),
+        recorded_speeds=first.recorded_speeds,
+        recorded_wrists=first.recorded_wrists,
     )
 
 
 def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str) -> None:
     """Answer the three questions, and add notes on models and recordings that flatter them."""
     if POOLED in PROTOCOLS[protocol]:
-        answer(models)
+        answer_questions(models)
     mark_unlike(models)
     if isinstance(reference, Items) and reference.split:
         beside = neighbours((*reference.items, *reference.others), reference.split)
@@ -219,8 +213,7 @@ def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str
 
 def _takes(reference: Path | Items, options: EvaluationOptions) -> dict[str, str]:
     """Return {recording: take} of those that the options give a take."""
-    others = [item.id for item in reference.others] if isinstance(reference, Items) else []
-    names = [*recordings(reference), *others]
+    names = list(recordings(reference, all_splits=True))
     return takes_of(names, options.take_pattern, options.take_table)
 
 
@@ -269,7 +262,8 @@ def _measurer(
     options: EvaluationOptions,
 ) -> tuple[Measurer, ReferenceStatistics]:
     """Return all that is to be measured, and the statistics of the recordings."""
-    compared = _compared(reference, options.protocol)
+    # In Table 4 of Alexanderson et al. 2023 sets are compared with the full dataset: all splits.
+    compared = recordings(reference, all_splits=options.protocol == "lda")
     statistics = ReferenceStatistics.of(compared, fps)
     measurer = Measurer(
         measure=ClipMetrics(statistics, options.groups, options.variants, options.cheap),
@@ -281,21 +275,9 @@ def _measurer(
         features=options.features,
         seed=options.seed,
         without=joints_to_leave_out(pairs, fps),
-        local=frozenset(options.baselines),
         takes=takes,
     )
     return measurer, statistics
-
-
-def _compared(reference: Path | Items, protocol: str) -> dict[str, Path | ItemInterval]:
-    """Return the recordings that sets of clips are compared with.
-
-    In Table 4 of Alexanderson et al. 2023 this is the full dataset: all splits of a manifest.
-    """
-    every = {**recordings(reference)}
-    if protocol == "lda" and isinstance(reference, Items):
-        every |= {item.id: ItemInterval(item) for item in reference.others}
-    return every
 
 
 def _recordings(
@@ -332,47 +314,47 @@ def _frame_rate(pairs: Pairs) -> float:
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
 
 
-def _model(
+def _fill(
     result: ModelResult,
     pairs: Pairs,
     measured: Measured,
     measurer: Measurer,
     options: EvaluationOptions,
-) -> ModelResult:
-    """Return the results of a model, from the measurements of its clips and of their set.
+) -> None:
+    """Fill in the results of a model, from the measurements of its clips and of their set.
 
     Raises:
         EvaluationError: no clip could be measured.
     """
     result.excluded, result.notes = list(pairs.excluded), list(pairs.notes)
     problems: dict[tuple[str, str], list[str]] = {}
-    for pair, measurement in zip(pairs.pairs, measured.clips[result.label], strict=True):
-        values = dict(measurement)
-        if "reason" in values:
-            result.excluded.append(Excluded(pair.name, values["reason"]))
+    for clip in measured.clips:
+        if isinstance(clip, Excluded):
+            result.excluded.append(clip)
             continue
-        for key, reason in values.pop("problems"):
-            problems.setdefault((key, reason), []).append(pair.name)
-        result.clips.append(ClipResult(pair, **values))
+        for key, reason in clip.problems:
+            problems.setdefault((key, reason), []).append(clip.pair.name)
+        result.clips.append(clip)
     if not result.clips:
         reasons = "; ".join(item.reason for item in result.excluded[:3])
         raise EvaluationError(f"{result.path}: no clip could be measured: {reasons}")
-    sets = measured.sets[result.label]
     likeness = measurer.likeness(result.label, result.clips)
-    result.metrics = metric_results(result.clips, sets, measurer.ceilings, likeness)
+    whole, frechet = (measured.sets[part] for part in (POOLED_PART, FRECHET_PART))
+    for clip, values in zip(result.clips, whole.by_clip):
+        clip.metrics |= values
+    of_set = whole.metrics | frechet.metrics
+    result.metrics = metric_results(result.clips, of_set, measurer.ceilings, likeness)
     if POOLED in options.groups:
         result.verdict = verdict(result.metrics)
     if PATCHES in options.groups:
         result.by_recording = _by_recording(result.clips)
-    result.speeds = SpeedHistogram.from_json(sets["pooled"].get("speeds"))
-    result.wrists = np.array(sets["pooled"].get("wrists", ()))
+    result.speeds, result.wrists = whole.speeds, whole.wrists
     result.notes += _protocol_notes(result, options.protocol)
-    for key, reason in (problem for half in sets.values() for problem in half["problems"]):
+    for key, reason in (*frechet.problems, *whole.problems):
         problems.setdefault((key, reason), []).append("the whole set")
     for (key, reason), names in problems.items():
         title = DEFINITIONS[key].name if key in DEFINITIONS else key
         result.excluded.append(Excluded(listed(names, 3), reason, title))
-    return result
 
 
 def _by_recording(clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
@@ -393,7 +375,7 @@ def _by_recording(clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]
 
 def _protocol_notes(result: ModelResult, protocol: str) -> list[str]:
     """Return notes on clips that differ from the protocol in number or length."""
-    counts = Counter((clip.pair.stem, clip.pair.window) for clip in result.clips)
+    counts = Counter(clip.pair.of for clip in result.clips)
     wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(protocol)
     other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
     notes = []

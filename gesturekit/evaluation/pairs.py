@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from gesturekit.corpus.manifest import Manifest
 from gesturekit.errors import CorpusError
 from gesturekit.formats.registry import MOTION_SUFFIXES
-from gesturekit.formats.sources import SPEECH_SUFFIXES, visible_folders
+from gesturekit.formats.sources import SPEECH_SUFFIXES, load, visible_folders
 from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ _SAMPLE = re.compile(r"_s\d+$")
 _CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
 Source = TypeVar("Source")
+Window = tuple[str, int | None]
+"""A recording and the index of its 10 s window; None for the whole recording."""
 
 
 class _ManifestItem(Protocol):
@@ -119,7 +121,9 @@ class Items:
             CorpusError: no recording was found.
         """
         files = motion_files(path).items()
-        return cls(path, "", tuple(_File(key, file, reading) for key, file in files))
+        return cls(
+            path, "", tuple(_File(id=key, motion=file, reading=reading) for key, file in files)
+        )
 
     @classmethod
     def of_manifest(cls, path: Path, split: str) -> Items:
@@ -150,13 +154,12 @@ class Items:
         return f"split {self.split} of {self.path}" if self.split else str(self.path)
 
 
-@dataclass(frozen=True)
-class _File:
-    """A motion file with reading options."""
+@dataclass(frozen=True, kw_only=True)
+class BareItem:
+    """Motion without a manifest, with the fields of a manifest's item."""
 
     id: str
-    motion: Path
-    reading: Mapping[str, Any]
+    motion: Path | None = None
     audio: Path | None = None
     speaker: str | None = None
     style: str | None = None
@@ -165,13 +168,24 @@ class _File:
     motion_start: float = 0.0
     duration: float = math.inf
 
-    def load_motion(self) -> Motion:
-        from gesturekit.formats.sources import load
-
-        return load(self.motion, self.reading)
-
     def load_wave(self) -> Wave:
-        raise CorpusError(f"{self.motion}: no sound goes with it")
+        """Refuse: there is no sound.
+
+        Raises:
+            CorpusError: always.
+        """
+        raise CorpusError(f"{self.motion or self.id}: no sound goes with it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(BareItem):
+    """A motion file with reading options."""
+
+    motion: Path
+    reading: Mapping[str, Any]
+
+    def load_motion(self) -> Motion:
+        return load(self.motion, self.reading)
 
 
 @dataclass(frozen=True, order=True)
@@ -202,6 +216,11 @@ class Pair:
         if not self.take:
             item = self.reference.item if isinstance(self.reference, ItemInterval) else None
             object.__setattr__(self, "take", (item and item.take) or self.stem)
+
+    @property
+    def of(self) -> Window:
+        """The recording, or the window of it, that the clip was generated for."""
+        return self.stem, self.window
 
     @property
     def speaker(self) -> str | None:
@@ -347,17 +366,24 @@ def _matched(
         )
 
 
-def recordings(reference: Path | Items) -> Mapping[str, Path | ItemInterval]:
+def recordings(
+    reference: Path | Items, *, all_splits: bool = False
+) -> dict[str, Path | ItemInterval]:
     """Return {key: motion} of all recordings of a folder, a file or a manifest.
+
+    Args:
+        reference: the recordings.
+        all_splits: take the items of the manifest's other splits as well.
 
     Raises:
         CorpusError: no motion was found.
     """
     if isinstance(reference, Path):
-        return motion_files(reference)
+        return {**motion_files(reference)}
     if not reference.intervals:
         raise CorpusError(f"{reference}: no item has motion to compare with")
-    return dict(reference.intervals)
+    others = reference.others if all_splits else ()
+    return {**reference.intervals, **{item.id: ItemInterval(item) for item in others}}
 
 
 def motion_files(path: Path) -> dict[str, Path]:

@@ -96,7 +96,7 @@ class GroupLikeness:
     """Likeness of a model to one speaker, or one style of a speaker; see `statistics.likeness`.
 
     Attributes:
-        name: the group, of `statistics.groups`.
+        name: the group, of `statistics.intervals.groups_of`.
         takes: names of the takes that the model has clips of.
         value: likeness, 0 to 1: the model's score over the speaker's own.
         own: the speaker's own score, 0 to 1.
@@ -115,6 +115,12 @@ class GroupLikeness:
     without_reference: tuple[float, ...] = ()
     pieces: bool = False
 
+    @classmethod
+    def from_json(cls, **values: Any) -> GroupLikeness:
+        """Return the likeness that `dataclasses.asdict` described."""
+        tuples = {name: tuple(values[name]) for name in ("takes", "without_reference")}
+        return cls(**{**values, **tuples})
+
 
 @dataclass
 class ClipResult:
@@ -127,6 +133,7 @@ class ClipResult:
         recording: the same for the recording.
         mismatched: the clip's values with other recordings' sounds (CCA: with another recording).
         notes: for the reader of the report.
+        problems: (key, reason) of metrics that could not be computed.
     """
 
     pair: Pair
@@ -135,6 +142,7 @@ class ClipResult:
     recording: dict[str, float]
     mismatched: dict[str, float]
     notes: Sequence[str] = ()
+    problems: Sequence[tuple[str, str]] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return all of it but its files as plain values."""
@@ -213,7 +221,7 @@ class MetricResult:
         """Return the result that `dataclasses.asdict` described."""
         kinds = {"interval": Interval, "recording_interval": Interval, "ceiling": Level}
         found = {k: kinds[k](**v) if k in kinds and v else v for k, v in values.items()}
-        several = (("floors", Level), ("groups", GroupLikeness))
+        several = (("floors", Level), ("groups", GroupLikeness.from_json))
         return cls(**found | {k: tuple(of(**v) for v in values.get(k, ())) for k, of in several})
 
 
@@ -282,7 +290,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Finding:
+class QuestionAnswer:
     """The answer to one of the three questions that head a report.
 
     Attributes:
@@ -320,7 +328,7 @@ class ModelResult:
     label: str
     path: Path
     verdict: str = ""
-    answers: list[Finding] = field(default_factory=list)
+    answers: list[QuestionAnswer] = field(default_factory=list)
     metrics: dict[str, MetricResult] = field(default_factory=dict)
     by_recording: dict[str, dict[str, Interval]] = field(default_factory=dict)
     clips: list[ClipResult] = field(default_factory=list)

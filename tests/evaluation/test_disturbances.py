@@ -39,7 +39,7 @@ from gesturekit.evaluation import (
     sync,
 )
 from gesturekit.evaluation import wrist_speed as wrist_speeds
-from gesturekit.evaluation.measuring.inputs import ReferenceStatistics
+from gesturekit.evaluation.measuring.clip_metrics import ReferenceStatistics
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector

@@ -17,12 +17,12 @@ from gesturekit.evaluation import (
     ModelResult,
     Pair,
     SpeedHistogram,
-    answers,
+    answers_of,
     headline_lines,
     verdict,
 )
 from gesturekit.evaluation.results import GroupLikeness
-from gesturekit.evaluation.statistics.groups import groups_of
+from gesturekit.evaluation.statistics.intervals import groups_of
 from gesturekit.evaluation.statistics.likeness import credits, likeness_result, relative, score
 from gesturekit.evaluation.statistics.questions import same_verdicts
 
@@ -40,7 +40,7 @@ def result(key: str, value: float, recording: float | None, **more) -> MetricRes
 
 
 def states(made: list[ClipResult], **metrics: MetricResult) -> dict[str, tuple[str, str]]:
-    return {answer.key: (answer.state, answer.sentence) for answer in answers(made, metrics)}
+    return {answer.key: (answer.state, answer.sentence) for answer in answers_of(made, metrics)}
 
 
 def test_a_ratio_has_full_credit_within_a_quarter_and_none_at_two_and_a_half():
@@ -240,7 +240,7 @@ def test_a_broken_body_is_named_first_and_not_praised(metrics, fact):
     found = of(**praised, **metrics)
     words = verdict(found)
     assert fact in words and "broken" in words and not re.search("in time|reach", words)
-    answered = {answer.key: answer for answer in answers(clips(), found)}
+    answered = {answer.key: answer for answer in answers_of(clips(), found)}
     assert {answer.state for answer in answered.values()} == {"not asked"}
     assert all(fact in answer.sentence for answer in answered.values())
     # Another speaker on this rig, and one who does other things within the same range.
@@ -312,7 +312,7 @@ def test_floors_stand_at_the_question_and_again_only_where_a_model_has_others(pa
         timed = MetricResult("in_time", interval, 0.9, floors=floors)
         made = clips()
         return ModelResult(
-            label, Path(label), answers=answers(made, {"in_time": timed}),
+            label, Path(label), answers=answers_of(made, {"in_time": timed}),
             metrics={"in_time": timed}, clips=made,
         )  # fmt: skip
 
@@ -337,7 +337,7 @@ def test_a_broken_body_has_no_score_on_the_page_and_does_not_stretch_the_lines(p
         metrics = of(novelty=(novelty, 1.0), joint_limits=(limits, 2.0))
         made = clips()
         return ModelResult(
-            label, Path(label), answers=answers(made, metrics), metrics=metrics, clips=made
+            label, Path(label), answers=answers_of(made, metrics), metrics=metrics, clips=made
         )
 
     settings = {"variants": {}, "seed": 0}

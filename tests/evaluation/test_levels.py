@@ -15,7 +15,7 @@ from gesturekit.evaluation import (
     MetricResult,
     ModelResult,
     Pair,
-    answer,
+    answer_questions,
     evaluate,
     metric_results,
 )
@@ -123,11 +123,10 @@ def test_models_that_ignore_the_speech_are_floors_of_the_others():
         pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(3)]
         metrics, recorded = {"in_time": timing, "reach": 0.2}, {"in_time": own, "reach": 0.3}
         clips = [ClipResult(pair, 9.0, dict(metrics), recorded, {}) for pair in pairs]
-        sets = {"pooled": {"metrics": {}}, "frechet": {"metrics": {}}}
-        return ModelResult(label, Path(label), clips=clips, metrics=metric_results(clips, sets, {}))
+        return ModelResult(label, Path(label), clips=clips, metrics=metric_results(clips, {}, {}))
 
     models = [model("ours", 0.28, 0.4), model("speech_blind", 0.3, 0.4)]
-    answer(models)
+    answer_questions(models)
     timing = models[0].metrics["in_time"]
     assert {level.name: level.value for level in timing.floors} == pytest.approx(
         {MEAN_POSE: 0.0, "speech_blind": 0.3}
@@ -136,5 +135,5 @@ def test_models_that_ignore_the_speech_are_floors_of_the_others():
     assert models[0].answers[0].state == "no"
     assert [level.name for level in models[1].metrics["in_time"].floors] == [MEAN_POSE]
     models = [model("ours", 0.28, 0.25), model("speech_blind", 0.3, 0.25)]
-    answer(models)
+    answer_questions(models)
     assert models[0].answers[0].state == "cannot be answered"

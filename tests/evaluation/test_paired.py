@@ -1,6 +1,6 @@
 """Bold figures: differences of models larger than chance, corrected for the number of rows."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +44,7 @@ def model(label: str, clips: list[ClipResult]) -> ModelResult:
 
 
 def metrics_of(clips: list[ClipResult], pooled: dict | None = None) -> dict[str, MetricResult]:
-    sets = {"pooled": {"metrics": pooled or {}}, "frechet": {"metrics": {}}}
-    return metric_results(clips, sets, {})
+    return metric_results(clips, pooled or {}, {})
 
 
 def two_models(
@@ -262,7 +261,7 @@ def test_sync_is_informative_only_where_the_recordings_are_above_chance(own, exp
 @pytest.mark.parametrize(("own", "expected"), [(0.1, True), (0.0002, False)])
 def test_a_held_out_recording_that_was_trained_on_says_nothing_about_copying(own, expected):
     pooled = {
-        key: asdict(MetricResult(key, whole_set(value, 1), recording))
+        key: MetricResult(key, whole_set(value, 1), recording)
         for key, value, recording in (("copying", 0.08, own), ("novelty", 0.08 / own, None))
     }
     found = metrics_of([clip("r0", 0, {}, {})], pooled)

@@ -13,12 +13,12 @@ from gesturekit.evaluation import (
     ClipResult,
     Evaluation,
     Excluded,
-    Finding,
     Interval,
     Level,
     MetricResult,
     ModelResult,
     Pair,
+    QuestionAnswer,
     SpeedHistogram,
     quick_metrics,
 )
@@ -61,7 +61,7 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
     clip = ClipResult(Pair("x_w002", "x", 2, Path("a"), Path("b")), 1.23456789, {"sync": 0.5},
                       {"sync": 0.7}, {"sync": 0.1}, ("odd",))  # fmt: skip
     model = ModelResult(
-        "é", Path("a"), "Good.", [Finding("Q?", "sync", "yes", "Yes.")],
+        "é", Path("a"), "Good.", [QuestionAnswer("Q?", "sync", "yes", "Yes.")],
         {"sync": sync, "reach": plain}, {"x": {"coverage": own}}, [clip],
         [Excluded("y", "why")], ["n"], ["m"],
     )  # fmt: skip

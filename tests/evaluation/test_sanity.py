@@ -10,8 +10,8 @@ import soundfile
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult
+from gesturekit.evaluation.made_motion import bad_motion
 from gesturekit.evaluation.report.sanity import (
-    bad_motion,
     conclusion,
     mark,
     noticed_by,

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gesturekit.errors import EvaluationError, GestureKitError
-from gesturekit.evaluation.measuring.clips import load_clip
-from gesturekit.evaluation.measuring.rigs import RETARGETED, without_namespace
-from gesturekit.evaluation.pairs import Excluded, Pairs
+from gesturekit.evaluation.measuring.clips import RETARGETED, load_clip, without_namespace
+from gesturekit.evaluation.pairs import Excluded, Pairs, Window
 from gesturekit.evaluation.results import ModelResult
 from gesturekit.motion.parts import body_joints
 from gesturekit.wording import counted, listed
@@ -26,7 +25,7 @@ def keep_common_recordings(found: Mapping[str, Pairs]) -> None:
     Raises:
         EvaluationError: no recording has clips of all models.
     """
-    windows = {key: {(p.stem, p.window) for p in pairs.pairs} for key, pairs in found.items()}
+    windows = {key: {pair.of for pair in pairs.pairs} for key, pairs in found.items()}
     common = set.intersection(*windows.values())
     if not common:
         counts = "; ".join(f"{key}: {_some(seen)}" for key, seen in windows.items())
@@ -35,12 +34,12 @@ def keep_common_recordings(found: Mapping[str, Pairs]) -> None:
             "be compared; evaluate each alone, or render the same files"
         )
     for label, pairs in found.items():
-        apart = [pair for pair in pairs.pairs if (pair.stem, pair.window) not in common]
+        apart = [pair for pair in pairs.pairs if pair.of not in common]
         if not apart:
             continue
-        pairs.pairs = [pair for pair in pairs.pairs if (pair.stem, pair.window) in common]
+        pairs.pairs = [pair for pair in pairs.pairs if pair.of in common]
         for pair in apart:
-            lack = [key for key, seen in windows.items() if (pair.stem, pair.window) not in seen]
+            lack = [key for key, seen in windows.items() if pair.of not in seen]
             reason = f"set apart: {listed(lack, 3)} has no clip of this recording"
             pairs.excluded.append(Excluded(pair.name, reason))
         pairs.notes.append(
@@ -98,14 +97,14 @@ def mark_unlike(models: Sequence[ModelResult]) -> None:
             )
 
 
-def _lengths(model: ModelResult) -> dict[tuple[str, int | None], float]:
+def _lengths(model: ModelResult) -> dict[Window, float]:
     """Return the mean length of a model's clips of each recording, seconds."""
-    every: dict[tuple[str, int | None], list[float]] = {}
+    every: dict[Window, list[float]] = {}
     for clip in model.clips:
-        every.setdefault((clip.pair.stem, clip.pair.window), []).append(clip.seconds)
+        every.setdefault(clip.pair.of, []).append(clip.seconds)
     return {window: float(np.mean(seconds)) for window, seconds in every.items()}
 
 
-def _some(windows: set[tuple[str, int | None]]) -> str:
+def _some(windows: set[Window]) -> str:
     names = sorted(stem if w is None else f"{stem}, window {w}" for stem, w in windows)
     return listed(names, 2)

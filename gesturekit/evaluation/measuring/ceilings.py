@@ -9,7 +9,7 @@ large as the model's are not to be had.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import chain
 
 import numpy as np
@@ -18,7 +18,7 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES, SIMILARITY
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, load_recording
-from gesturekit.evaluation.measuring.samples import copied
+from gesturekit.evaluation.measuring.samples import copied, evenly, halves
 from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
@@ -70,8 +70,9 @@ def ceilings(
         has = [(v[key], clip.pair) for v, clip in zip(values, clips) if key in v]
         takes = Takes.of([pair for _, pair in has])
         found[key] = interval_of([v for v, _ in has], takes, DEFINITIONS[key].within), note
-    halves = _halves(list(chosen.values()))
-    sets = {"hellinger": hellinger(*(_speeds(half, joints) for half in halves))}
+    sides = halves(list(chosen.values()))
+    speeds = ([relative_speed(motion, joints) for motion in side] for side in sides)
+    sets = {"hellinger": hellinger(*map(SpeedHistogram.of, speeds))}
     try:
         if SIMILARITY in measure.groups:
             both = [similarity.pose_pair(c.generated, c.recording, joints) for c in clips]
@@ -89,13 +90,12 @@ def ceilings(
 
 def _chosen(sources: Mapping[str, Pair], fps: float) -> dict[str, Motion]:
     """Return at most `MOST` recordings, evenly chosen and cut; halves of a single one."""
-    names = list(sources)
-    kept = names[:: -(-len(names) // MOST)]
+    kept = evenly(list(sources), MOST)
     cut = {name: _cut(load_recording(sources[name].reference, fps)) for name in kept}
     if len(cut) > 1:
         return cut
     ((name, motion),) = cut.items()
-    first, second = _halves([motion])
+    first, second = halves([motion])
     return {name: first[0], f"{name}{SECOND}": second[0]}
 
 
@@ -119,16 +119,3 @@ def _others(recordings: Mapping[str, Pair]) -> tuple[dict[str, str], str]:
             takes[name] = other_takes[0]
         pieces[name] = (same or after)[0]
     return (takes, OTHERS) if takes else (pieces, PIECES)
-
-
-def _halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
-    """Return every other recording, and the rest; of a single one its halves."""
-    if len(motions) > 1:
-        return list(motions[::2]), list(motions[1::2])
-    (motion,) = motions
-    middle = max(1, motion.n_frames // 2)
-    return [motion[:middle]], [motion[middle:]]
-
-
-def _speeds(motions: Sequence[Motion], joints: Sequence[str]) -> SpeedHistogram:
-    return SpeedHistogram.of([relative_speed(motion, joints).ravel() for motion in motions])

@@ -19,19 +19,30 @@ import numpy as np
 from audio_features import AudioFeaturesError
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.definitions import MOVEMENT, POOLED
-from gesturekit.evaluation.measuring.baselines import held, mean_pose
+from gesturekit.evaluation.made_motion import chosen_frames, held, mean_pose
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
-from gesturekit.evaluation.measuring.clips import Clip, load_clip, load_recording
-from gesturekit.evaluation.measuring.rigs import matched
-from gesturekit.evaluation.measuring.samples import copied
+from gesturekit.evaluation.measuring.clips import Clip, load_clip, load_recording, matched
+from gesturekit.evaluation.measuring.samples import copied, evenly
 from gesturekit.evaluation.metrics.diagonals import frame_distances
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.two_sample import motion_windows
-from gesturekit.evaluation.pairs import Pair
-from gesturekit.evaluation.results import OTHER_SPEAKER, ClipResult, GroupLikeness, Level
-from gesturekit.evaluation.statistics.groups import groups_of
+from gesturekit.evaluation.pairs import Pair, Window
+from gesturekit.evaluation.results import (
+    OTHER_SPEAKER,
+    ClipResult,
+    GroupLikeness,
+    Level,
+    MetricResult,
+)
+from gesturekit.evaluation.statistics.intervals import groups_of
 from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, level_of
-from gesturekit.evaluation.statistics.likeness import Credits, Relative, credits, relative
+from gesturekit.evaluation.statistics.likeness import (
+    Credits,
+    Relative,
+    credits,
+    likeness_result,
+    relative,
+)
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 
@@ -200,7 +211,9 @@ def _rows(
     """Return windows (N, D) of takes, evenly chosen, and the index (N,) of the take of each."""
     rows, owners = [np.empty((0, 1))], [np.empty(0, int)]
     for at, take in enumerate(takes):
-        motions = [_backwards(m) for m in take.motions] if back else list(take.motions)
+        motions = list(take.motions)
+        if back:
+            motions = [chosen_frames(m, np.arange(m.n_frames)[::-1]) for m in motions]
         try:
             windows = motion_windows(motions, joints, mirrored=mirrored)
         except MotionError:
@@ -209,16 +222,6 @@ def _rows(
         rows.append(windows.rows(kept))
         owners.append(np.full(len(kept), at))
     return np.concatenate(rows[1:] or rows), np.concatenate(owners)
-
-
-def _backwards(motion: Motion) -> Motion:
-    moved = {name: places[::-1] for name, places in motion.joint_translations.items()}
-    return replace(
-        motion,
-        rotations=motion.rotations[::-1],
-        translation=motion.translation[::-1],
-        joint_translations=moved,
-    )
 
 
 def _means(sides: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -251,11 +254,11 @@ class LikenessMeasurer:
         groups = [group for group in (MOVEMENT, POOLED) if group in self.measure.groups]
         self.measure = ClipMetrics(self.measure.statistics, groups, self.measure.variants)
 
-    def __call__(self, clips: Sequence[ClipResult]) -> tuple[list[GroupLikeness], dict[str, Level]]:
-        """Return the likeness of a model by group, and {name: level} of ceiling and floors."""
-        first: dict[tuple[str, int | None], ClipResult] = {}  # one sample of each recording
+    def __call__(self, clips: Sequence[ClipResult]) -> MetricResult | None:
+        """Return the likeness of a model; None where no group has enough to compare."""
+        first: dict[Window, ClipResult] = {}  # one sample of each recording
         for clip in clips:
-            first.setdefault((clip.pair.stem, clip.pair.window), clip)
+            first.setdefault(clip.pair.of, clip)
         stems = {clip.pair.stem for clip in clips}
         others = [pair for pair in self.recordings if pair.stem not in stems]
         every = [*(clip.pair for clip in first.values()), *others]
@@ -267,7 +270,8 @@ class LikenessMeasurer:
             if group is not None:
                 found.append(group[0])
                 levels.append(group[1])
-        return found, _pooled_levels(levels, all(group.pieces for group in found))
+        pooled = _pooled_levels(levels, all(group.pieces for group in found))
+        return likeness_result(found, pooled, len(clips))
 
     def _group(
         self, name: str, clips: Sequence[ClipResult], others: Sequence[Pair]
@@ -275,7 +279,7 @@ class LikenessMeasurer:
         by_take: dict[str, list[ClipResult]] = {}
         for clip in clips:
             by_take.setdefault(clip.pair.take, []).append(clip)
-        chosen = {t: _evenly(c, MOST_CLIPS) for t, c in _some(by_take, MOST_TAKES).items()}
+        chosen = {t: evenly(c, MOST_CLIPS) for t, c in _some(by_take, MOST_TAKES).items()}
         loaded = [(clip, self._loaded(clip.pair)) for take in chosen.values() for clip in take]
         loaded = [(clip, motion) for clip, motion in loaded if motion is not None]
         if not loaded:
@@ -285,7 +289,7 @@ class LikenessMeasurer:
             joints = tuple(n for n in upper if all(n in motion.joints for _, motion in loaded))
         except MotionError:
             return None
-        key = (name, joints, *((c.pair.stem, c.pair.window) for c, _ in loaded))
+        key = (name, joints, *(c.pair.of for c, _ in loaded))
         if key not in self._known:
             self._known[key] = self._reference(others, chosen, loaded)
         reference, pieces, cut = self._known[key]
@@ -426,8 +430,4 @@ def _takes(names: Sequence[str], clips: Sequence[tuple[Mapping, Motion]]) -> lis
 
 
 def _some(takes: Mapping[str, list], most: int) -> dict[str, list]:
-    return {name: takes[name] for name in _evenly(list(takes), most)}
-
-
-def _evenly(items: list, most: int) -> list:
-    return items[:: -(-len(items) // most)] if items else []
+    return {name: takes[name] for name in evenly(list(takes), most)}

@@ -1,10 +1,10 @@
-"""Measurements of clips and sets, with the keys by which it is stored."""
+"""Measure all clips and sets: what is stored is read, the rest is measured on all cores."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,20 +28,17 @@ from gesturekit.evaluation.measuring.content import (
     metric_version,
 )
 from gesturekit.evaluation.measuring.likeness import LikenessMeasurer
-from gesturekit.evaluation.measuring.pooled import PooledMetrics, Window
-from gesturekit.evaluation.measuring.samples import MotionSample
+from gesturekit.evaluation.measuring.pooled import PooledMetrics
+from gesturekit.evaluation.measuring.samples import TrainingMotion
 from gesturekit.evaluation.measuring.set_metrics import (
+    SetMeasurement,
     SetMetrics,
-    pooled,
-    speeds_of,
-    thinned,
-    wrists_of,
+    frechet_metrics,
 )
-from gesturekit.evaluation.measuring.speakers import TrainingMotion
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram
-from gesturekit.evaluation.pairs import ItemInterval, Items, Pair, recordings
-from gesturekit.evaluation.results import ClipResult, GroupLikeness, Interval, Level, MetricResult
+from gesturekit.evaluation.pairs import Excluded, ItemInterval, Items, Pair, Window, recordings
+from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
 from gesturekit.evaluation.statistics.levels import OTHER_SOUND
+from gesturekit.workers import Failure, in_processes
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
@@ -49,27 +46,45 @@ if TYPE_CHECKING:
 
 MISMATCHED = 3
 """Number of other recordings that a clip is also compared with, for the mismatched level."""
-PARTS = ("frechet", "pooled")
+FRECHET_PART, POOLED_PART = PARTS = ("frechet", "pooled")
 """Halves of the metrics of a set, which are computed independently."""
+IN_PROCESS_SECONDS = 4.0
+"""Measuring that takes longer gets worker processes; starting them takes about as long."""
+
+Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
+"""Wraps an iterable of finished portions, such as in a progress bar, given number and label."""
 
 
 @dataclass(frozen=True)
-class ClipGroup:
-    """Indices of clips of one recording, of all models: {label: indices into its pairs}."""
+class ClipIndex:
+    """A clip, by the label of its model and its index among its pairs."""
 
-    clips: Mapping[str, Sequence[int]]
+    label: str
+    index: int
 
 
 @dataclass(frozen=True)
 class SetPart:
-    """One part of the metrics of the set of clips of one model."""
+    """One of `PARTS` of the metrics of the set of clips of one model."""
 
     label: str
     part: str
 
 
-Portion = ClipGroup | tuple[SetPart, ...]
+Target = ClipIndex | SetPart
+"""What is measured, stored and read as one."""
+Portion = tuple[Target, ...]
 """Portion that one process measures: clips of a recording, or sets one after the other."""
+Measurement = ClipResult | Excluded | SetMeasurement
+"""What is measured of a target; a clip that cannot be read is `Excluded`."""
+
+
+@dataclass
+class Measured:
+    """Measurements of one model: of each of its pairs, and of their set by part."""
+
+    clips: list[ClipResult | Excluded] = field(default_factory=list)
+    sets: dict[str, SetMeasurement] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -86,7 +101,6 @@ class Measurer:
         features: the extractor of FGD, or None.
         seed: seed of intervals and subsamples.
         without: bare names of joints that some model lacks, which no model is measured with.
-        local: labels of models whose motion is made in memory.
         takes: takes of recordings by name; others have those of `Pair`.
     """
 
@@ -99,98 +113,103 @@ class Measurer:
     features: Extractor | None
     seed: int
     without: frozenset[str] = frozenset()
-    local: frozenset[str] = frozenset()
     takes: Mapping[str, str] = field(default_factory=dict)
-    _own: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(
+    _recorded: dict[tuple[Window, tuple[str, ...]], dict[str, float]] = field(
         default_factory=dict, init=False
     )
     _of_recordings: dict[Hashable, Any] = field(default_factory=dict, init=False)
     _contents: dict[Pair, str | None] = field(default_factory=dict, init=False)
 
-    def __call__(self, portion: Portion) -> list[Any]:
-        """Return the results of a portion, which are stored as well; see `clip` and `set`.
+    def __call__(self, portion: Portion) -> list[Measurement]:
+        """Return the measurements of a portion, which are stored as well.
 
         Sums of floating-point numbers depend on the number of threads: each process has one.
         """
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1):
-            if not isinstance(portion, ClipGroup):
-                return [self.set(one) for one in portion]
-            self._own.clear()
-            return [(key, i, self.clip(key, i)) for key, at in portion.clips.items() for i in at]
+            self._recorded.clear()
+            return [self._measured(target) for target in portion]
 
-    def clip(self, label: str, index: int) -> dict[str, Any]:
-        """Measure a clip; a clip that cannot be read is {"reason": text}."""
-        pair = self.pairs[label][index]
+    def _measured(self, target: Target) -> Measurement:
+        if isinstance(target, SetPart):
+            of_set = self._set(target)
+            self.store.write(self._key(target), of_set.to_json())
+            return of_set
+        clip = self._clip(target)
+        if isinstance(clip, ClipResult):
+            values = {name: value for name, value in vars(clip).items() if name != "pair"}
+            self.store.write(self._key(target), values)
+        return clip
+
+    def stored(self, target: Target) -> Measurement | None:
+        """Return a measurement of an earlier evaluation, or None."""
+        values = self.store.read(self._key(target))
+        if values is None:
+            return None
+        if isinstance(target, SetPart):
+            return SetMeasurement.from_json(values)
+        return ClipResult(self.pairs[target.label][target.index], **values)
+
+    def failed(self, target: Target, reason: str) -> Measurement:
+        """Return the measurement of a target whose worker process died."""
+        if isinstance(target, SetPart):
+            return SetMeasurement(problems=[("metrics of the set", reason)])
+        return Excluded(self.pairs[target.label][target.index].name, reason)
+
+    def _clip(self, target: ClipIndex) -> ClipResult | Excluded:
+        label, pair = target.label, self.pairs[target.label][target.index]
         try:
             clip = load_clip(pair, self.fps, self.without)
         except (GestureKitError, AudioFeaturesError) as error:
-            return {"reason": str(error)}
+            return Excluded(pair.name, str(error))
         metrics, problems = self.measure.generated(clip)
-        window = (pair.stem, pair.window), clip.joints
-        if window not in self._own:
-            self._own[window] = self._recorded(clip, label)
-        values = {
-            "seconds": clip.generated.duration,
-            "metrics": metrics,
-            "recording": self._own[window],
-            "mismatched": self._mismatched(clip, label),
-            "notes": [*clip.notes, *clip_notes(clip, self.length)],
-            "problems": problems,
-        }
-        self.store.write(self.clip_key(label, index), values)
-        return values
+        window = pair.of, clip.joints
+        if window not in self._recorded:
+            self._recorded[window] = self._recording(clip, label)
+        return ClipResult(
+            pair,
+            clip.generated.duration,
+            metrics,
+            self._recorded[window],
+            self._mismatched(clip, label),
+            [*clip.notes, *clip_notes(clip, self.length)],
+            problems,
+        )
 
-    def _recorded(self, clip: Clip, label: str) -> dict[str, float]:
+    def _recording(self, clip: Clip, label: str) -> dict[str, float]:
         """Measure the recording of a clip, also in time with other recordings' sounds."""
         values = self.measure.recording(clip)[0]
         own = replace(clip, generated=clip.recording)
         mismatched = self._mismatched_sound(own, label).get("in_time")
         return values if mismatched is None else {**values, OTHER_SOUND: mismatched}
 
-    def set(self, portion: SetPart) -> dict[str, Any]:
-        """Compute one part of the metrics of a model's clips."""
-        groups = self.measure.groups
-        groups = [g for g in groups if (g == FRECHET) == (portion.part == "frechet")]
-        measure = replace(self.measure, groups=groups)
-        training = TrainingMotion()
-        if POOLED in groups:
-            training = TrainingMotion.of(self.reference, self.seed)
-        clip_set = SetMetrics(
-            measure, self.seed, PooledMetrics(training, self.seed, self._of_recordings)
+    def _set(self, target: SetPart) -> SetMeasurement:
+        groups, clips = self.measure.groups, self._clips(target.label)
+        if target.part == FRECHET_PART:
+            if FRECHET not in groups:
+                return SetMeasurement()
+            kinetic, sources = self.measure.variants.kinetic, self.recordings
+            return frechet_metrics(
+                clips, sources, self.features, fps=self.fps, kinetic=kinetic, seed=self.seed
+            )
+        of_reference = POOLED in groups
+        training = (
+            TrainingMotion.of(self.reference, self.seed) if of_reference else TrainingMotion()
         )
-        recorded, speeds, wrists = MotionSample(self.seed), {}, {}
-        for pair in self.pairs[portion.label] if groups else ():
+        pooled = PooledMetrics(training, self.seed, self._of_recordings)
+        metrics = SetMetrics(self.measure, pooled)
+        for clip in clips:
+            metrics.add(clip)
+        return metrics.measured()
+
+    def _clips(self, label: str) -> Iterator[Clip]:
+        for pair in self.pairs[label]:
             try:
                 clip = load_clip(pair, self.fps, self.without)
             except (GestureKitError, AudioFeaturesError):
-                continue  # reported by `clip`
-            window = (pair.stem, pair.window)
-            if window not in speeds:
-                if portion.part == "frechet":
-                    recorded.add(clip.recording)
-                speeds[window] = SpeedHistogram.of([speeds_of(clip.recording, clip.joints)])
-                wrists[window] = wrists_of(clip.recording)
-            clip_set.add(clip, speeds[window])
-        if not speeds:
-            metrics: dict[str, MetricResult] = {}
-        elif portion.part == "frechet":
-            metrics = self._frechet(clip_set, recorded, set(speeds))
-        else:
-            metrics = clip_set.pooled()
-        values = {
-            "metrics": {key: asdict(result) for key, result in metrics.items()},
-            "problems": clip_set.problems,
-            "by_clip": clip_set.pooled_metrics.by_clip() if portion.part == "pooled" else [],
-            "speeds": pooled(clip_set.histograms).to_json(),
-            "wrists": thinned(clip_set.wrists).tolist(),
-            "recorded_speeds": pooled(list(speeds.values())).to_json(),
-            "recorded_wrists": thinned(list(wrists.values())).tolist(),
-            "training_excluded": [asdict(item) for item in training.excluded],
-        }
-        self.store.write(self.set_key(portion), values)
-        return values
+                continue  # reported by `_clip`
+            yield clip
 
     @functools.cached_property
     def ceilings(self) -> dict[str, tuple[Interval, str]]:
@@ -204,33 +223,24 @@ class Measurer:
         stored = self._stored(list(own.values()), ["ceilings", list(own)], compute)
         return {name: (Interval(**value), note) for name, (value, note) in stored.items()}
 
-    def likeness(
-        self, label: str, clips: Sequence[ClipResult]
-    ) -> tuple[list[GroupLikeness], dict[str, Level]]:
+    def likeness(self, label: str, clips: Sequence[ClipResult]) -> MetricResult | None:
         """Return the likeness of a model (`measuring.likeness`), stored or computed here."""
         if POOLED not in self.measure.groups:
-            return [], {}
+            return None
 
-        def compute() -> dict[str, Any]:
-            groups, levels = self._likeness(clips)
-            return {
-                "groups": [asdict(group) for group in groups],
-                "levels": {name: asdict(level) for name, level in levels.items()},
-            }
+        def compute() -> list[dict[str, Any]]:
+            result = self._likeness(clips)
+            return [] if result is None else [asdict(result)]
 
-        parts = ["likeness", self.set_key(SetPart(label, PARTS[1]))]
-        stored = self._stored(self._likeness.recordings, parts, compute, known=parts[1] is not None)
-        groups = [GroupLikeness(**{**g, "takes": tuple(g["takes"]),
-                  "without_reference": tuple(g["without_reference"])})
-                  for g in stored["groups"]]  # fmt: skip
-        return groups, {name: Level(**values) for name, values in stored["levels"].items()}
+        of_set = self._key(SetPart(label, POOLED_PART))
+        parts, every = ["likeness", of_set], self._likeness.recordings
+        found = self._stored(every, parts, compute, known=of_set is not None)
+        return MetricResult.from_json(found[0]) if found else None
 
     @functools.cached_property
     def _likeness(self) -> LikenessMeasurer:
-        recorded = {**recordings(self.reference)}
-        if isinstance(self.reference, Items):
-            recorded |= {item.id: ItemInterval(item) for item in self.reference.others}
-        every = [self._with_itself(name, source) for name, source in recorded.items()]
+        sources = recordings(self.reference, all_splits=True)
+        every = [self._with_itself(name, source) for name, source in sources.items()]
         return LikenessMeasurer(self.measure, every, self.fps, self.without, self.seed)
 
     def _with_itself(self, name: str, source: Path | ItemInterval) -> Pair:
@@ -255,9 +265,11 @@ class Measurer:
         """Store of the measurements."""
         return Store()
 
-    def clip_key(self, label: str, index: int) -> str | None:
-        """Return the key of a clip's measurement; None if it cannot be stored."""
-        pair = self.pairs[label][index]
+    def _key(self, target: Target) -> str | None:
+        """Return the key of a measurement; None if it cannot be stored."""
+        if isinstance(target, SetPart):
+            return self._set_key(target)
+        label, pair = target.label, self.pairs[target.label][target.index]
         sounds = [(content_of(path), window) for path, window in self._other_sounds(label, pair)]
         motions = [content_of(self.recordings[key]) for key in self._other_motions(pair)]
         contents = [self._content(pair), *(content for content, _ in sounds), *motions]
@@ -265,9 +277,8 @@ class Measurer:
             return None
         return digest_of([self._settings, contents, [window for _, window in sounds]])
 
-    def set_key(self, portion: SetPart) -> str | None:
-        """Return the key of the metrics of a set; None if they cannot be stored."""
-        pairs = self.pairs[portion.label]
+    def _set_key(self, target: SetPart) -> str | None:
+        pairs = self.pairs[target.label]
         every = [self._content(pair) for pair in pairs]
         every += [content_of(source) for source in self.recordings.values()]
         if isinstance(self.reference, Items):
@@ -275,10 +286,10 @@ class Measurer:
         if None in every:
             return None
         names: dict[Window, int] = {}
-        order = [names.setdefault((pair.stem, pair.window), len(names)) for pair in pairs]
+        order = [names.setdefault(pair.of, len(names)) for pair in pairs]
         model = self.features and self.features.fingerprint
         return digest_of(
-            [self._settings, portion.part, every, order, _nesting(pairs), model, self.seed]
+            [self._settings, target.part, every, order, _nesting(pairs), model, self.seed]
         )
 
     @functools.cached_property
@@ -304,17 +315,6 @@ class Measurer:
             known = None not in contents
             self._contents[pair] = digest_of([contents, pair.window]) if known else None
         return self._contents[pair]
-
-    def _frechet(
-        self, clip_set: SetMetrics, recorded: MotionSample, seen: AbstractSet[Window]
-    ) -> dict[str, MetricResult]:
-        """Compute the Fréchet distances of clips; `recorded` are the recordings of the clips."""
-        if seen == {(key, None) for key in self.recordings}:
-            return clip_set.frechet(recorded, None, self.features)
-        full = MotionSample(self.seed)
-        for source in self.recordings.values():
-            full.add(load_recording(source, self.fps))
-        return clip_set.frechet(full, recorded, self.features)
 
     def _mismatched(self, clip: Clip, label: str) -> dict[str, float]:
         """Measure the clip with the sounds, and the motion, of other recordings."""
@@ -351,15 +351,70 @@ class Measurer:
             for label, pairs in self.pairs.items()
         }
 
-    def is_portable(self, portion: Portion) -> bool:
-        """Return whether a worker process can measure a portion: its motion is in files."""
-        labels = portion.clips if isinstance(portion, ClipGroup) else [one.label for one in portion]
-        return self.local.isdisjoint(labels)
 
-    def portable(self) -> Measurer:
-        """Return the measurer for worker processes, without motion in memory."""
-        pairs = {key: pairs for key, pairs in self.pairs.items() if key not in self.local}
-        return replace(self, pairs=pairs)
+def measure_all(measurer: Measurer, workers: int, progress: Progress) -> dict[str, Measured]:
+    """Return the measurements by model, the same for any number of workers.
+
+    Each is stored as soon as it is computed, so that an interrupted evaluation can continue.
+
+    Args:
+        measurer: what to measure.
+        workers: number of processes; 1 measures in this one.
+        progress: see `Progress`.
+    """
+    targets: list[Target] = []
+    for label, pairs in measurer.pairs.items():
+        targets += [ClipIndex(label, index) for index in range(len(pairs))]
+        targets += [SetPart(label, part) for part in PARTS]
+    found = {target: measurer.stored(target) for target in targets}
+    missing = [target for target in targets if found[target] is None]
+    if portions := _portions(measurer, missing, workers):
+        done = _done(measurer, portions, workers)
+        for portion, results in progress(done, len(portions), "measuring"):
+            if isinstance(results, Failure):  # sets done before it are stored
+                failed = functools.partial(measurer.failed, reason=str(results))
+                results = [measurer.stored(target) or failed(target) for target in portion]
+            found |= zip(portion, results, strict=True)
+    measured = {label: Measured() for label in measurer.pairs}
+    for target, result in found.items():
+        if isinstance(target, SetPart):
+            assert isinstance(result, SetMeasurement)
+            measured[target.label].sets[target.part] = result
+        else:
+            assert isinstance(result, ClipResult | Excluded)
+            measured[target.label].clips.append(result)
+    return measured
+
+
+def _portions(measurer: Measurer, missing: Sequence[Target], workers: int) -> list[Portion]:
+    """Return the clips of each recording, and the sets in chains, one for two workers.
+
+    A set holds all motion of its model in memory; while one is computed, clips are measured.
+    """
+    of_window: dict[tuple[str, int], list[Target]] = {}
+    for target in missing:
+        if isinstance(target, ClipIndex):
+            stem, window = measurer.pairs[target.label][target.index].of
+            of_window.setdefault((stem, -1 if window is None else window), []).append(target)
+    sets = [target for target in missing if isinstance(target, SetPart)]
+    chains = max(1, workers // 2) if workers > 1 else max(1, len(sets))
+    portions: list[Sequence[Target]] = [of_window[window] for window in sorted(of_window)]
+    portions += [sets[k::chains] for k in range(chains)]
+    return [tuple(portion) for portion in portions if portion]
+
+
+def _done(
+    measurer: Measurer, portions: Sequence[Portion], workers: int
+) -> Iterator[tuple[Portion, Any]]:
+    """Yield (portion, measurements or `Failure`) as they are done."""
+    left = list(portions)
+    until = time.monotonic() + IN_PROCESS_SECONDS
+    while left and (workers < 2 or time.monotonic() < until):
+        portion = left.pop(0)
+        yield portion, measurer(portion)
+    if left:
+        left.sort(key=lambda portion: isinstance(portion[0], ClipIndex))  # the longest first
+        yield from in_processes(replace(measurer), left, workers)
 
 
 def _after(items: list, item: Any, count: int) -> list:

@@ -12,12 +12,7 @@ import numpy as np
 
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.measuring.clips import Clip
-from gesturekit.evaluation.measuring.samples import MotionSample
-from gesturekit.evaluation.measuring.speakers import (
-    SpeakerClips,
-    TrainingMotion,
-    own_windows,
-)
+from gesturekit.evaluation.measuring.samples import MotionSample, SpeakerClips, TrainingMotion
 from gesturekit.evaluation.metrics.arms import ARM_KEYS, arm_windows, nearest_arm
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import (
@@ -38,22 +33,19 @@ from gesturekit.evaluation.metrics.two_sample import (
     motion_windows,
     nearest_training,
     subsample,
+    two_sample_accuracy,
     two_sample_votes,
     within_reach,
 )
-from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.pairs import Pair, Window
 from gesturekit.evaluation.results import Level, MetricResult
-from gesturekit.evaluation.statistics.groups import groups_of
-from gesturekit.evaluation.statistics.intervals import whole_set
+from gesturekit.evaluation.statistics.intervals import groups_of, whole_set
 from gesturekit.evaluation.statistics.levels import CEILING, level_of
 from gesturekit.motion import Motion, Skeleton
 
 ENOUGH_CALM = 16
 """Windows from which the correlation of calm and lively stretches is informative. Where the true
 one is 0.8, that of 4 windows is below 0.4 in 14 of 100 cases, that of 16 windows in 2."""
-
-Window = tuple[str, int | None]
-"""A recording and the index of its 10 s window; None for the whole recording."""
 
 
 class PooledMetrics:
@@ -65,12 +57,10 @@ class PooledMetrics:
         known: values of recordings that other models have in common; filled here.
     """
 
-    def __init__(
-        self, training: TrainingMotion, seed: int, known: dict[Hashable, Any] | None = None
-    ) -> None:
+    def __init__(self, training: TrainingMotion, seed: int, known: dict[Hashable, Any]) -> None:
         self.training = training
         self.seed = seed
-        self._known = {} if known is None else known
+        self._known = known
         self.problems: list[tuple[str, str]] = []
         self._of_window: dict[Window, _Window] = {}
         self._window_of: list[int] = []  # number of each clip's window
@@ -81,7 +71,7 @@ class PooledMetrics:
 
     def add(self, clip: Clip) -> None:
         """Add a clip and its recording."""
-        key = (clip.pair.stem, clip.pair.window)
+        key = clip.pair.of
         if key not in self._of_window:
             motion = at_rate(clip.recording, FPS)
             self._recorded.add(motion)
@@ -108,7 +98,7 @@ class PooledMetrics:
             self._without_hands = self._without_hands or error
             return []
 
-    def pooled(self) -> dict[str, MetricResult]:
+    def results(self) -> dict[str, MetricResult]:
         """Compute the metrics; those that fail are listed in `problems`."""
         metrics: dict[str, MetricResult] = {}
         for names, compute in (
@@ -126,7 +116,7 @@ class PooledMetrics:
         return metrics
 
     def by_clip(self) -> list[dict[str, float]]:
-        """Return the measures of each clip, in the order of `add`, after `pooled`."""
+        """Return the measures of each clip, in the order of `add`, after `results`."""
         return [
             {key: values[n] for key, values in self._by_clip.items() if n in values}
             for n in range(len(self._window_of))
@@ -182,8 +172,7 @@ class PooledMetrics:
 
     def _hands(self) -> dict[str, MetricResult]:
         samples = [hands for window in self._with_hands for hands in window.samples]
-        recorded = [hands for window in self._with_hands for hands in window.recorded]
-        ours, theirs = map(hand_values, (samples, recorded))
+        ours, theirs = map(hand_values, (samples, self._recorded_hands))
         trained = self._once("hands", self._trained_hands)
         results = {}
         for key in HAND_KEYS:
@@ -194,6 +183,10 @@ class PooledMetrics:
             else:
                 self.problems.append((key, "the clips are too short, or the hands never move"))
         return results
+
+    @property
+    def _recorded_hands(self) -> list[Hands]:
+        return [hands for window in self._with_hands for hands in window.recorded]
 
     @property
     def _with_hands(self) -> list[_Window]:
@@ -215,8 +208,9 @@ class PooledMetrics:
         return {key: value for key, value in found.items() if np.isfinite(value)}
 
     def _calm_and_lively(self) -> dict[str, MetricResult]:
-        recorded = [hands for window in self._with_hands for hands in window.recorded]
-        found = calm_and_lively(recorded, [window.samples for window in self._with_hands])
+        found = calm_and_lively(
+            self._recorded_hands, [window.samples for window in self._with_hands]
+        )
         values = {"calm_lively_r": found.r, "calm_lively_slope": found.slope}
         note, enough = f"{found.n} windows", found.n >= ENOUGH_CALM
         return {key: self._result(key, value, 1.0, note, enough) for key, value in values.items()}
@@ -226,7 +220,7 @@ class PooledMetrics:
         counts = np.bincount(self._window_of)
         if counts.min() < LEAST_SEEDS or len(counts) < 2:
             return {}
-        recorded = [hands for window in self._with_hands for hands in window.recorded]
+        recorded = self._recorded_hands
         length = round(float(np.median([len(hands.paths) for hands in recorded])))
         speaker = [
             hand_level(motion[start : start + length])
@@ -266,15 +260,17 @@ class PooledMetrics:
 
     def _own_windows(self) -> tuple[dict[str, float], str]:
         """Return the values of held-out recordings against others, and a note."""
-        found: dict[str, list[float]] = {}
+        found = []
         try:
             for group in self._groups:
-                for held, others in group.splits():
-                    for key, value in own_windows(held, others, group.joints, self.seed).items():
-                        found.setdefault(key, []).append(value)
+                for sides in group.splits():
+                    ours, theirs = (motion_windows(side, group.joints) for side in sides)
+                    accuracy = two_sample_accuracy(theirs, ours, seed=self.seed)
+                    found.append((accuracy, 100.0 * within_reach(theirs, ours, seed=self.seed)))
         except MotionError:
             return {}, "no value of the recordings: they are too short"
-        means = {key: float(np.mean(values)) for key, values in found.items()}
+        accuracy, reach = (float(np.mean(values)) for values in zip(*found, strict=True))
+        means = {"one_nn": accuracy, "within_reach": reach}
         return means, f"recording: {self._compared()}"
 
     def _vote(
@@ -310,7 +306,7 @@ class PooledMetrics:
         for group in self._groups:
             ours = subsample(motion_windows(group.generated, group.joints), rng)
             every.append(nearest_training(ours, self._among(group.joints), group.joints))
-            self._keep("copying", _clip_means(group.clips[ours.clips], every[-1], np.median))
+            self._keep("copying", _clip_medians(group.clips[ours.clips], every[-1]))
         distances = np.concatenate(every)
         median, low, ceiling = self._once("copying", self._own_copying)
         if median > 0.0:
@@ -333,7 +329,7 @@ class PooledMetrics:
             for group in self._groups:
                 windows, clips = arm_windows(group.generated, side)
                 every.append(nearest_arm(windows, self._among(group.joints), side))
-                self._keep(key, _clip_means(group.clips[clips], every[-1], np.median))
+                self._keep(key, _clip_medians(group.clips[clips], every[-1]))
             own = self._once(key, partial(self._own_arm, side))
             results[key] = self._result(key, float(np.median(np.concatenate(every))), own)
         return results
@@ -413,13 +409,9 @@ def _shares(owners: np.ndarray, right: np.ndarray, drawn: np.ndarray) -> dict[in
     return {int(n): good[n] / total[n] for n in np.flatnonzero(total)}
 
 
-def _clip_means(
-    owners: np.ndarray,
-    values: np.ndarray,
-    mean: Callable[[np.ndarray], float] = np.mean,
-) -> dict[int, float]:
-    """Return {number of a clip: mean of the values of its windows (N,)}."""
+def _clip_medians(owners: np.ndarray, values: np.ndarray) -> dict[int, float]:
+    """Return {number of a clip: median of the values of its windows (N,)}."""
     order = np.argsort(owners, kind="stable")
     clips, first = np.unique(owners[order], return_index=True)
     parts = np.split(values[order], first[1:])
-    return {clip: float(mean(part)) for clip, part in zip(clips.tolist(), parts)}
+    return {clip: float(np.median(part)) for clip, part in zip(clips.tolist(), parts)}

@@ -1,18 +1,30 @@
-"""Bounded random samples of motion, for metrics that need all motion of a set at once."""
+"""Samples of motion that are in memory at once: of a set, of the training split, of a speaker."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
+from gesturekit.errors import GestureKitError, MotionError
+from gesturekit.evaluation.measuring.clips import load_recording
+from gesturekit.evaluation.metrics.hands import FPS
+from gesturekit.evaluation.pairs import Excluded, ItemInterval, Items
 from gesturekit.motion import Motion
 
+T = TypeVar("T")
 MOST_BYTES = 300_000_000
 """Memory of the rotations of a sample, at most: 70 minutes at 30 fps with 75 joints."""
 PIECE_SECONDS = 10.0
 """Length of pieces that are drawn from larger sets, at least; shorter motions are one piece."""
+TRAINING_SECONDS = 1200.0
+"""Length of training motion that is compared with, at most; of more, items are drawn at random."""
+
+MOST_TAKES = 12
+"""Takes of a speaker that are compared with that speaker's other takes, at most."""
 
 
 class MotionSample:
@@ -108,3 +120,125 @@ def copied(motion: Motion, start_frame: int, stop_frame: int) -> Motion:
 
 def _size(pieces: Iterable[_Piece]) -> int:
     return sum(motion.rotations.nbytes for _, _, motion in pieces)
+
+
+@dataclass
+class TrainingMotion:
+    """Motion of the manifest's training split.
+
+    Attributes:
+        motions: at 25 fps; empty without such a split.
+        speakers: the speaker of each motion, if known.
+        note: "" or how much of the split is used.
+        excluded: items that cannot be read.
+    """
+
+    motions: list[Motion] = field(default_factory=list)
+    speakers: list[str | None] = field(default_factory=list)
+    note: str = ""
+    excluded: list[Excluded] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, reference: Path | Items, seed: int) -> TrainingMotion:
+        """Read the training split that belongs to recordings; nothing unless they are `Items`."""
+        found = cls()
+        items = list(reference.training) if isinstance(reference, Items) else []
+        total = sum(item.duration for item in items)
+        if total > TRAINING_SECONDS:
+            np.random.default_rng(seed).shuffle(items)
+        left = TRAINING_SECONDS
+        for item in items:
+            if left < 1.0:
+                break
+            try:
+                motion = load_recording(ItemInterval(item), FPS)
+            except GestureKitError as error:
+                found.excluded.append(Excluded(item.id, str(error), "the training split"))
+                continue
+            motion = copied(motion, 0, min(motion.n_frames, round(left * FPS)))
+            left -= motion.duration
+            found.motions.append(motion)
+            found.speakers.append(item.speaker)
+        if total > TRAINING_SECONDS:
+            found.note = f"{TRAINING_SECONDS / 60:.0f} of {total / 60:.0f} min of it"
+        return found
+
+    def of_speaker(self, speaker: str | None, joints: Sequence[str]) -> list[Motion]:
+        """Return the motion of a speaker; of all speakers if that one has none.
+
+        Args:
+            speaker: name, or None.
+            joints: motions without these joints are left out.
+        """
+        fit = [set(joints) <= set(motion.skeleton.names) for motion in self.motions]
+        fitting = [(m, name) for m, name, fits in zip(self.motions, self.speakers, fit) if fits]
+        own = [motion for motion, name in fitting if name == speaker]
+        return own or [motion for motion, _ in fitting]
+
+
+@dataclass(frozen=True)
+class SpeakerClips:
+    """Clips of one speaker (and style) with their recordings, or pieces of them; see `groups_of`.
+
+    Attributes:
+        recorded: (R) recordings.
+        recordings: (R) number of each among the recordings of all groups; pieces share it.
+        takes: (R) take of each.
+        generated: (C) clips, in the order of their recordings.
+        clips: (C) number of each among the clips of all groups.
+        recording_of: number of the recording of each clip of all groups.
+        joints: upper-body joints that all clips have.
+        training: motion of the speaker's training split.
+    """
+
+    recorded: list[Motion]
+    recordings: np.ndarray
+    takes: list[str]
+    generated: list[Motion]
+    clips: np.ndarray
+    recording_of: Sequence[int]
+    joints: tuple[str, ...]
+    training: list[Motion]
+
+    @property
+    def has_others(self) -> bool:
+        """True where held-out recordings can be compared with another take or training motion."""
+        return bool(self.training) or len(set(self.takes)) > 1
+
+    def splits(self) -> list[tuple[list[Motion], list[Motion]]]:
+        """Return pairs of (held-out recordings, other recordings of the speaker) to compare.
+
+        Held-out recordings are compared with training motion if there is any, else each take with
+        the other takes, else one half of a single take with the other half.
+        """
+        if self.training:
+            return [(self.recorded, self.training)]
+        takes = sorted(set(self.takes))
+        if len(takes) > 1:
+            every = list(zip(self.recorded, self.takes))
+            return [
+                ([m for m, take in every if take == held], [m for m, take in every if take != held])
+                for held in evenly(takes, MOST_TAKES)
+            ]
+        both = halves(self.recorded)
+        return [both, both[::-1]]
+
+
+def halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
+    """Return every other recording, and the rest; of a single one its halves.
+
+    Raises:
+        MotionError: a single one has one frame.
+    """
+    if len(motions) > 1:
+        return list(motions[::2]), list(motions[1::2])
+    (motion,) = motions
+    middle = motion.n_frames // 2
+    if middle < 1:
+        raise MotionError("the recording is too short to be cut into halves")
+    return [motion[:middle]], [motion[middle:]]
+
+
+def evenly(items: Sequence[T], most: int) -> Sequence[T]:
+    """Return every k-th item, with the least k that leaves at most `most`."""
+    return items[:: max(1, -(-len(items) // most))]

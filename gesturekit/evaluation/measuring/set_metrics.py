@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,23 +13,20 @@ import numpy as np
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
-    FRECHET,
     PATCHES,
     POOLED,
     SIMILARITY,
-    Definition,
     definitions_of,
 )
-from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
-from gesturekit.evaluation.measuring.clips import Clip
-from gesturekit.evaluation.measuring.inputs import SetInputs, compute
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, Problems, compute
+from gesturekit.evaluation.measuring.clips import Clip, load_recording
 from gesturekit.evaluation.measuring.pooled import PooledMetrics
 from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
-from gesturekit.evaluation.pairs import Pair
+from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window
 from gesturekit.evaluation.results import Interval, MetricResult
 from gesturekit.evaluation.statistics.intervals import (
     Takes,
@@ -39,6 +38,7 @@ from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
+    from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 
 INTER_SAMPLES = 20
 """Samples of one recording that are compared with each other, at most."""
@@ -51,51 +51,89 @@ _WRISTS = 20_000
 _CCA_FRAMES = 50_000  # frames that the global CCA is fitted on, at most
 
 
+@dataclass
+class SetMeasurement:
+    """Metrics of the set of clips of one model, or of one part of them.
+
+    Attributes:
+        metrics: {key of `definitions`: result}.
+        problems: (key, reason) of metrics that could not be computed.
+        by_clip: {key: value} of each clip, of metrics that compare windows of all clips.
+        speeds, recorded_speeds: of the joints of the clips, and of their recordings.
+        wrists, recorded_wrists: (N,) wrist speeds, m/s.
+        training_excluded: items of the training split that cannot be read.
+    """
+
+    metrics: dict[str, MetricResult] = field(default_factory=dict)
+    problems: Problems = field(default_factory=list)
+    by_clip: list[dict[str, float]] = field(default_factory=list)
+    speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
+    recorded_speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
+    wrists: np.ndarray = field(default_factory=lambda: np.empty(0))
+    recorded_wrists: np.ndarray = field(default_factory=lambda: np.empty(0))
+    training_excluded: list[Excluded] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            "metrics": {key: asdict(result) for key, result in self.metrics.items()},
+            "problems": self.problems,
+            "by_clip": self.by_clip,
+            "speeds": [speeds.to_json() for speeds in (self.speeds, self.recorded_speeds)],
+            "wrists": [speeds.tolist() for speeds in (self.wrists, self.recorded_wrists)],
+            "training_excluded": [asdict(item) for item in self.training_excluded],
+        }
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> SetMeasurement:
+        """Return the measurement that `to_json` described."""
+        speeds, recorded_speeds = map(SpeedHistogram.from_json, values["speeds"])
+        wrists, recorded_wrists = map(np.array, values["wrists"])
+        return cls(
+            {key: MetricResult.from_json(result) for key, result in values["metrics"].items()},
+            values["problems"],
+            values["by_clip"],
+            speeds,
+            recorded_speeds,
+            wrists,
+            recorded_wrists,
+            [Excluded(**item) for item in values["training_excluded"]],
+        )
+
+
 class SetMetrics:
-    """Accumulates the clips of one model and computes the metrics of the set.
+    """Accumulates the clips of one model and computes the metrics of the set but Fréchet distances.
 
     Args:
         measure: the metrics of single clips.
-        seed: seed of subsamples.
-        pooled_metrics: those of all clips pooled.
+        pooled: those of all clips pooled.
     """
 
-    def __init__(self, measure: ClipMetrics, seed: int, pooled_metrics: PooledMetrics) -> None:
+    def __init__(self, measure: ClipMetrics, pooled: PooledMetrics) -> None:
         self.measure = measure
-        self.seed = seed
-        self.pooled_metrics = pooled_metrics
-        self.sample = MotionSample(seed)
-        self.histograms: list[SpeedHistogram] = []
-        self.recorded: list[SpeedHistogram] = []
-        self.wrists: list[np.ndarray] = []
-        self.problems: list[tuple[str, str]] = []
+        self.pooled = pooled
         self._pairs: list[Pair] = []
+        self._speeds: list[SpeedHistogram] = []
+        self._wrists: list[np.ndarray] = []
+        self._recorded: dict[Window, tuple[SpeedHistogram, np.ndarray]] = {}
         self._poses: list[tuple[np.ndarray, np.ndarray]] = []
         self._pose_stride = 1
         self._joints: tuple[str, ...] = ()  # of the global CCA
-        self._shared: tuple[str, ...] | None = None  # joints that all clips have
         self._inter: dict[str, tuple[Pair, float]] = {}
         self._samples: list[np.ndarray] = []
 
-    def add(self, clip: Clip, recorded: SpeedHistogram) -> None:
-        """Add a clip; clips must be ordered by recording.
-
-        Args:
-            clip: a measured clip.
-            recorded: speeds of its recording.
-        """
+    def add(self, clip: Clip) -> None:
+        """Add a clip; clips must be ordered by recording."""
         groups = self.measure.groups
         same = bool(self._pairs) and self._pairs[-1].stem == clip.pair.stem
         self._pairs.append(clip.pair)
-        self.histograms.append(SpeedHistogram.of([speeds_of(clip.generated, clip.joints)]))
-        self.recorded.append(recorded)
-        self.wrists.append(wrists_of(clip.generated))
+        if clip.pair.of not in self._recorded:
+            self._recorded[clip.pair.of] = _speeds(clip.recording, clip.joints)
+        speeds, wrists = _speeds(clip.generated, clip.joints)
+        self._speeds.append(speeds)
+        self._wrists.append(wrists)
         if POOLED in groups:
-            self.pooled_metrics.add(clip)
-        if FRECHET in groups:
-            self.sample.add(clip.generated)
-            known = clip.joints if self._shared is None else self._shared
-            self._shared = tuple(name for name in known if name in clip.joints)
+            self.pooled.add(clip)
         if SIMILARITY in groups:
             self._joints = self._joints or clip.joints
             if clip.joints == self._joints:
@@ -104,93 +142,47 @@ class SetMetrics:
             self._samples = self._samples if same else []
             self._compare_samples(clip)
 
-    def pooled(self) -> dict[str, MetricResult]:
-        """Compute the metrics of the set, except those of `frechet`."""
-        metrics: dict[str, MetricResult] = {}
-        self._try(metrics, "hellinger", self._hellinger)
-        if self._poses:
-            self._try(metrics, "cca_global", self._cca)
+    def measured(self) -> SetMeasurement:
+        """Compute the metrics."""
+        speeds, wrists = zip(*self._recorded.values(), strict=True) if self._pairs else ((), ())
+        found = SetMeasurement(
+            speeds=SpeedHistogram.sum_of(self._speeds),
+            recorded_speeds=SpeedHistogram.sum_of(speeds),
+            wrists=_thinned(self._wrists),
+            recorded_wrists=_thinned(wrists),
+            training_excluded=self.pooled.training.excluded,
+        )
+        if not self._pairs:
+            return found
+        for key, make in (("hellinger", self._hellinger), ("cca_global", self._cca)):
+            try:
+                if key == "hellinger" or self._poses:
+                    found.metrics[key] = make()
+            except GestureKitError as error:
+                found.problems.append((key, str(error)))
         if self._inter:
             pairs, values = zip(*self._inter.values(), strict=True)
             within = DEFINITIONS["inter_diversity"].within
             interval = interval_of(values, Takes.of(pairs), within)
-            metrics["inter_diversity"] = MetricResult("inter_diversity", interval)
+            found.metrics["inter_diversity"] = MetricResult("inter_diversity", interval)
         if POOLED in self.measure.groups:
-            metrics |= self.pooled_metrics.pooled()
-            self.problems += self.pooled_metrics.problems
-        return metrics
-
-    def frechet(
-        self,
-        full: MotionSample,
-        compared: MotionSample | None,
-        model: Extractor | None,
-    ) -> dict[str, MetricResult]:
-        """Compute Fréchet distances to the full set of recordings, and the diversity of clips.
-
-        Windows and kinetic features use the body joints that all clips share with the recordings;
-        geometric features and those of `model` need their own joints.
-
-        Args:
-            full: all recordings.
-            compared: the recordings (or windows) that the clips were generated for; their own
-                distance to the full set is the lower bound. None if they are the full set.
-            model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
-        """
-        metrics: dict[str, MetricResult] = {}
-        for definition in definitions_of("distance", "diversity"):
-            self._try(
-                metrics,
-                definition.key,
-                partial(self._of_sets, definition, full, compared, model),
-            )
-        return metrics
-
-    def _of_sets(
-        self,
-        definition: Definition,
-        full: MotionSample,
-        compared: MotionSample | None,
-        model: Extractor | None,
-    ) -> MetricResult | None:
-        """Return one metric of `frechet`; None if it needs a feature extractor."""
-
-        def taken(sample: MotionSample) -> Any | None:
-            sides, kinetic = (sample.motions, full.motions), self.measure.variants.kinetic
-            return compute(definition, SetInputs(*sides, model, self._shared, self.seed, kinetic))
-
-        ours = taken(self.sample)
-        if ours is None:
-            return None
-        if definition.of == "distance":
-            top = None if compared is None else taken(compared)
-            takes = Takes.of([self._pairs[owner] for owner in self.sample.owners]).count
-            apart = takes >= INDEPENDENT * len(self.sample.owners)
-            return _frechet(definition.key, ours, top, apart)
-        interval = whole_set(ours, self.sample.count)
-        return MetricResult(definition.key, interval, taken(full if compared is None else compared))
-
-    def _try(
-        self, metrics: dict[str, MetricResult], key: str, make: Callable[[], MetricResult | None]
-    ) -> None:
-        try:
-            made = make()
-        except GestureKitError as error:
-            self.problems.append((key, str(error)))
-        else:
-            metrics |= {} if made is None else {key: made}
+            found.metrics |= self.pooled.results()
+            found.problems += self.pooled.problems
+            found.by_clip = self.pooled.by_clip()
+        return found
 
     def _hellinger(self) -> MetricResult:
+        recorded = [self._recorded[pair.of][0] for pair in self._pairs]
+
         def distance(drawn: np.ndarray) -> float:
-            return hellinger(
-                *(pooled([own[i] for i in drawn]) for own in (self.histograms, self.recorded))
-            )
+            sides = ([side[i] for i in drawn] for side in (self._speeds, recorded))
+            return hellinger(*map(SpeedHistogram.sum_of, sides))
 
         interval = interval_of_statistic(
             distance, Takes.of(self._pairs), DEFINITIONS["hellinger"].within
         )
-        total = sum(int(h.counts.sum()) + h.beyond for h in self.histograms)
-        beyond = 100.0 * sum(h.beyond for h in self.histograms) / max(total, 1)
+        total = sum(int(h.counts.sum()) + h.beyond for h in self._speeds)
+        beyond = 100.0 * sum(h.beyond for h in self._speeds) / max(total, 1)
         return MetricResult("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
 
     def _cca(self) -> MetricResult:
@@ -220,35 +212,116 @@ class SetMetrics:
             return  # local diversity reports the reason
 
 
-def speeds_of(motion: Motion, joints: Sequence[str]) -> np.ndarray:
-    """Return (N,) speeds of all joints in all frames, m/s on the reference body."""
-    return physical.relative_speed(motion, joints).ravel()
-
-
-def wrists_of(motion: Motion) -> np.ndarray:
-    """Return (T - 1,) wrist speeds, m/s; empty for a rig without wrists."""
+def _speeds(motion: Motion, joints: Sequence[str]) -> tuple[SpeedHistogram, np.ndarray]:
+    """Return the speeds of all joints, and (T - 1,) of the wrists, m/s; empty without wrists."""
     try:
-        return physical.wrist_speed(motion)
+        wrists = physical.wrist_speed(motion)
     except GestureKitError:
-        return np.empty(0)
+        wrists = np.empty(0)
+    return SpeedHistogram.of([physical.relative_speed(motion, joints)]), wrists
 
 
-def thinned(parts: Sequence[np.ndarray], most: int = _WRISTS) -> np.ndarray:
-    """Concatenate arrays (N_i,); keep every k-th value if there are more than `most`."""
+def _thinned(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Concatenate arrays (N_i,); keep every k-th value if there are more than `_WRISTS`."""
     whole = np.concatenate(parts) if parts else np.empty(0)
-    return whole[:: max(1, -(-len(whole) // most))]
+    return whole[:: max(1, -(-len(whole) // _WRISTS))]
 
 
-def pooled(histograms: Sequence[SpeedHistogram]) -> SpeedHistogram:
-    """Return the sum of histograms."""
-    whole = SpeedHistogram()
-    for histogram in histograms:
-        whole.counts += histogram.counts
-        whole.beyond += histogram.beyond
-    return whole
+@dataclass(frozen=True, eq=False)
+class SetInputs:
+    """Inputs of the metrics of a set of motions.
+
+    Attributes:
+        reference: all recordings.
+        model: the feature extractor of FGD, or None.
+        joints: names of the joints that all of them have.
+        seed: of intervals.
+        kinetic: variant of the kinetic features.
+        generated: all motion of a model.
+    """
+
+    reference: Sequence[Motion]
+    model: Extractor | None
+    joints: tuple[str, ...]
+    seed: int
+    kinetic: str
+    generated: Sequence[Motion]
+
+    @property
+    def motions(self) -> Sequence[Motion]:
+        """The motion whose diversity is measured: `generated`."""
+        return self.generated
+
+    @property
+    def windows(self) -> PoseWindows | None:
+        """The windows of the feature extractor, or None."""
+        return None if self.model is None else self.model.windows
 
 
-def _frechet(key: str, ours: FrechetResult, top: FrechetResult | None, apart: bool) -> MetricResult:
+def frechet_metrics(
+    clips: Iterable[Clip],
+    sources: Mapping[str, Path | ItemInterval],
+    model: Extractor | None,
+    *,
+    fps: float,
+    kinetic: str,
+    seed: int,
+) -> SetMeasurement:
+    """Compute Fréchet distances of clips to the full set of recordings, and their diversity.
+
+    Windows and kinetic features use the body joints that all clips share with the recordings;
+    geometric features and those of `model` need their own joints. Where clips are not of all
+    recordings, or of windows of them, the distance of these to the full set is the lower bound.
+
+    Args:
+        clips: the clips of a model.
+        sources: all recordings by key.
+        model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
+        fps: frame rate of the evaluation.
+        kinetic: variant of the kinetic features.
+        seed: of intervals and subsamples.
+    """
+    generated, recorded = MotionSample(seed), MotionSample(seed)
+    windows, pairs, joints = set[Window](), list[Pair](), None
+    for clip in clips:
+        pairs.append(clip.pair)
+        generated.add(clip.generated)
+        known = clip.joints if joints is None else joints
+        joints = tuple(name for name in known if name in clip.joints)
+        if clip.pair.of not in windows:
+            windows.add(clip.pair.of)
+            recorded.add(clip.recording)
+    found = SetMeasurement()
+    if joints is None:
+        return found
+    full = recorded
+    if windows != {(key, None) for key in sources}:
+        full = MotionSample(seed)
+        for source in sources.values():
+            full.add(load_recording(source, fps))
+    inputs = partial(SetInputs, full.motions, model, joints, seed, kinetic)
+    takes = Takes.of([pairs[owner] for owner in generated.owners]).count
+    apart = takes >= INDEPENDENT * len(generated.owners)
+    for definition in definitions_of("distance", "diversity"):
+        try:
+            ours = compute(definition, inputs(generated.motions))
+            if ours is None:  # it needs a feature extractor
+                continue
+            if definition.of == "distance":
+                top = None if full is recorded else compute(definition, inputs(recorded.motions))
+                result = _distance(definition.key, ours, top, apart)
+            else:
+                own = compute(definition, inputs(recorded.motions))
+                result = MetricResult(definition.key, whole_set(ours, generated.count), own)
+            found.metrics[definition.key] = result
+        except GestureKitError as error:
+            found.problems.append((definition.key, str(error)))
+    return found
+
+
+def _distance(
+    key: str, ours: FrechetResult, top: FrechetResult | None, apart: bool
+) -> MetricResult:
     """Return a Fréchet distance, with its interval over motions if each has a take of its own."""
     known = apart and not np.isnan(ours.low)
     interval = Interval(

@@ -8,31 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from audio_features import AudioFeaturesError, Wave
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.comparison import evaluate
 from gesturekit.evaluation.definitions import HEADLINE, Definition
+from gesturekit.evaluation.made_motion import bad_motion
 from gesturekit.evaluation.pairs import file_of, files_by_key, motion_files
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion import Motion
-from gesturekit.motion.parts import arm_joints, find_parts
-from gesturekit.motion.parts.body_size import body_scale
-from gesturekit.motion.rotations import (
-    mean_quaternion,
-    multiply_quaternions,
-    quaternion_from_rotation_vector,
-    slerp,
-)
+from gesturekit.motion.parts import find_parts
 from gesturekit.wording import listed
 
-NOISE, JITTER = 0.3, 0.05
-"""Standard deviations of the rotations of every joint in every frame, rad."""
-SWAY, SWAY_RATE = 0.2, 0.4
-"""Amplitude of the foot slide on the reference body, metres, and its frequency, Hz."""
 RECORDING = "recording"
 """Name of the recordings themselves among the models."""
 PIECE = 8.0
@@ -41,62 +29,6 @@ SHORTEST = 3.0
 """Seconds of the shortest recording that is used."""
 LONGEST, TOTAL = 60.0, 120.0
 """Seconds used of one recording, and of all held-out recordings together, at most."""
-
-
-def bad_motion(recording: Motion, other: Motion, training: Motion, seed: int) -> dict[str, Motion]:
-    """Return {name: known-bad motion} made from recordings.
-
-    Args:
-        recording: the recording that a clip is evaluated with.
-        other: another held-out recording.
-        training: motion of the training set.
-        seed: of noise.
-    """
-    n, turns = recording.n_frames, recording.rotations
-    mean = np.stack([mean_quaternion(turns[:, j]) for j in range(turns.shape[1])])
-    frozen = _frames(recording, np.full(n, n // 2))
-    mean_pose = replace(
-        frozen,
-        rotations=np.tile(mean, (n, 1, 1)),
-        translation=np.tile(recording.translation.mean(axis=0), (n, 1)),
-    )
-    slow = replace(recording.resample(2.0 * recording.fps), fps=recording.fps)
-    arms = [recording.skeleton.index(name) for name in arm_joints(recording.skeleton)]
-    halved = turns.copy()
-    middle = np.broadcast_to(mean[arms], halved[:, arms].shape)
-    halved[:, arms] = slerp(middle, halved[:, arms], np.full(middle.shape[:-1], 0.5))
-    sway = SWAY * body_scale(recording.skeleton) * np.sin(2 * np.pi * SWAY_RATE * recording.times)
-    slid = recording.translation + sway[:, None] * (1.0, 0.0, 0.0)
-    return {
-        "frozen": frozen,
-        "mean pose": mean_pose,
-        "noise": _shaken(mean_pose, NOISE, seed),
-        "jitter": _shaken(recording, JITTER, seed),
-        "another utterance": other[:n],
-        "reversed": _frames(recording, np.arange(n)[::-1]),
-        "half speed": slow[:n],
-        "half reach": replace(recording, rotations=halved),
-        "foot slide": replace(recording, translation=slid),
-        "training recording": training[:n],
-    }
-
-
-def _frames(motion: Motion, frames: np.ndarray) -> Motion:
-    """Return chosen frames of a motion, in that order."""
-    return replace(
-        motion,
-        rotations=motion.rotations[frames],
-        translation=motion.translation[frames],
-        joint_translations={name: v[frames] for name, v in motion.joint_translations.items()},
-    )
-
-
-def _shaken(motion: Motion, deviation: float, seed: int) -> Motion:
-    """Return a motion with every joint turned at random in every frame."""
-    rng = np.random.default_rng(seed)
-    vectors = rng.normal(0.0, deviation, (*motion.rotations.shape[:2], 3))
-    shaken = multiply_quaternions(motion.rotations, quaternion_from_rotation_vector(vectors))
-    return replace(motion, rotations=shaken)
 
 
 def run_sanity(

@@ -20,6 +20,7 @@ takes. Coverage in simulated corpora: benchmarks/interval_coverage.py.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -27,6 +28,7 @@ import numpy as np
 
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import Interval, takes_of_speakers
+from gesturekit.evaluation.statistics.thresholds import LEAST_IN_STYLE
 
 LEVEL = 0.95
 FEW = 5
@@ -105,6 +107,28 @@ class Takes:
     def means(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return the means (R,) of values (n,) by take."""
         return self.weights @ np.asarray(values, np.float64)
+
+
+def groups_of(pairs: Sequence[Pair]) -> list[str]:
+    """Return the group of each clip, such as "maya" or "maya, angry"; "" without a speaker.
+
+    The styles of a speaker are groups of their own if each has recordings of `LEAST_IN_STYLE` or
+    more.
+    """
+    styles: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for pair in pairs:
+        styles[pair.speaker or ""][pair.style or ""].add(pair.stem)
+    split = {
+        speaker
+        for speaker, stems in styles.items()
+        if len(stems) > 1 and min(map(len, stems.values())) >= LEAST_IN_STYLE
+    }
+    return [
+        ", ".join(filter(None, (pair.speaker, pair.style)))
+        if (pair.speaker or "") in split
+        else pair.speaker or ""
+        for pair in pairs
+    ]
 
 
 def standard_error(

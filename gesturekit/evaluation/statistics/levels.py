@@ -6,7 +6,7 @@ another speaker's, the mean pose, motion that ignores the speech.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +32,6 @@ OTHER_SOUND = "in_time_mismatched"
 _BLIND = ("speech_blind", "other_utterance")
 """Labels of models that ignore the speech, and are floors of timing. They are none of likeness: who
 speaks of something else moves like the speaker all the same."""
-ByTake = Callable[[ModelResult], Sequence[float] | np.ndarray]
 
 
 def level_of(name: str, values: Sequence[float] | np.ndarray, *, pieces: bool = False) -> Level:
@@ -106,30 +105,32 @@ def with_timing_levels(result: MetricResult, clips: Sequence[ClipResult]) -> Met
     return replace(result, ceiling=ceiling, floors=(*floors, Level(MEAN_POSE, 0.0, None, 0)))
 
 
-def _by_take(clips: Sequence[ClipResult], key: str) -> np.ndarray:
-    """Return the means by take of a metric of the recordings that have it."""
-    has = [clip for clip in clips if key in clip.recording]
-    if not has:
+def _by_take(clips: Sequence[ClipResult], key: str, *, generated: bool = False) -> np.ndarray:
+    """Return the means by take of a metric of the recordings (or clips) that have it."""
+    sides = [(clip.pair, clip.metrics if generated else clip.recording) for clip in clips]
+    known = [(pair, values[key]) for pair, values in sides if key in values]
+    if not known:
         return np.empty(0)
-    return Takes.of([clip.pair for clip in has]).means([clip.recording[key] for clip in has])
+    return Takes.of([pair for pair, _ in known]).means([value for _, value in known])
 
 
-def add_blind_floors(models: Sequence[ModelResult], timing: ByTake) -> None:
-    """Add the timing of models that ignore the speech to the floors of the other models.
-
-    Timing and likeness whose ceiling is no higher than a floor are then marked as not informative.
-
-    Args:
-        models: all models.
-        timing: function of a model to its timing by take.
-    """
-    blind = [model for model in models if model.label in _BLIND and "in_time" in model.metrics]
+def add_speech_blind_floors(models: Sequence[ModelResult]) -> None:
+    """Add the timing of models that ignore the speech to the floors of the other models."""
+    floors = {
+        model.label: level_of(model.label, _by_take(model.clips, "in_time", generated=True))
+        for model in models
+        if model.label in _BLIND and "in_time" in model.metrics
+    }
     for model in models:
-        timed = model.metrics.get("in_time")
-        if timed is not None:
-            floors = [level_of(one.label, timing(one)) for one in blind if one is not model]
-            model.metrics["in_time"] = replace(timed, floors=(*timed.floors, *floors))
+        timing = model.metrics.get("in_time")
+        if timing is not None:
+            others = [floor for label, floor in floors.items() if label != model.label]
+            model.metrics["in_time"] = replace(timing, floors=(*timing.floors, *others))
+
+
+def mark_reached_floors(models: Sequence[ModelResult]) -> None:
+    """Mark timing and likeness whose ceiling is no higher than a floor as not informative."""
+    for model in models:
         for key in model.metrics.keys() & {"in_time", "likeness"}:
-            result = model.metrics[key]
-            known = result.informative and reached_floor(result) is None
-            model.metrics[key] = replace(result, informative=known)
+            if reached_floor(model.metrics[key]) is not None:
+                model.metrics[key] = replace(model.metrics[key], informative=False)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES
-from gesturekit.evaluation.results import ClipResult, GroupLikeness, Interval, Level, MetricResult
+from gesturekit.evaluation.pairs import Window
+from gesturekit.evaluation.results import ClipResult, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, scaled_like
 from gesturekit.evaluation.statistics.levels import TRAINING, with_timing_levels
-from gesturekit.evaluation.statistics.likeness import likeness_result
 from gesturekit.evaluation.statistics.thresholds import (
     ABOVE_CHANCE,
     ENOUGH_SECONDS,
@@ -29,29 +28,25 @@ _OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "b
 
 def metric_results(
     clips: Sequence[ClipResult],
-    sets: Mapping[str, Mapping[str, Any]],
+    of_set: Mapping[str, MetricResult],
     ceilings: Mapping[str, tuple[Interval, str]],
-    likeness: tuple[Sequence[GroupLikeness], Mapping[str, Level]] = ((), {}),
+    likeness: MetricResult | None = None,
 ) -> dict[str, MetricResult]:
     """Return {key of `definitions`: result}.
 
     Args:
-        clips: the clips of a model; measures that compare windows of all clips are added to them.
-        sets: {part: metrics of the set}, see `measuring.measurer`.
+        clips: the clips of a model.
+        of_set: metrics of their set, see `measuring.set_metrics`.
         ceilings: the recordings' own values, see `measuring.ceilings`.
-        likeness: by group, with ceiling and floors, see `measuring.likeness`.
+        likeness: of the model, see `measuring.likeness`.
     """
-    for clip, values in zip(clips, sets["pooled"].get("by_clip", ())):
-        clip.metrics |= values
     found = {}
     for key in DEFINITIONS:
         has = [clip for clip in clips if key in clip.metrics]
         if has:
             found[key] = _mean_result(key, has, len(clips))
-    for part in ("pooled", "frechet"):
-        for key, values in sets[part]["metrics"].items():
-            pooled = MetricResult.from_json(values)
-            found[key] = _with_interval(pooled, found.get(key))
+    for key, result in of_set.items():
+        found[key] = _with_interval(result, found.get(key))
     for key, (own, note) in ceilings.items():
         if key in found:
             notes = "; ".join(filter(None, (found[key].note, note)))
@@ -81,8 +76,7 @@ def metric_results(
         found |= {key: replace(found[key], informative=False) for key in few}
     if "in_time" in found:
         found["in_time"] = with_timing_levels(found["in_time"], clips)
-    like = likeness_result(*likeness, len(clips))
-    return found if like is None else {**found, "likeness": like}
+    return found if likeness is None else {**found, "likeness": likeness}
 
 
 def above_chance(clips: Sequence[ClipResult], metric: str, *, of_recordings: bool = True) -> bool:
@@ -91,9 +85,9 @@ def above_chance(clips: Sequence[ClipResult], metric: str, *, of_recordings: boo
     Its values over circular shifts of the sound give the level and its standard deviation; both
     are pooled over recordings, of samples of which the first is taken.
     """
-    first: dict[tuple[str, int | None], ClipResult] = {}
+    first: dict[Window, ClipResult] = {}
     for clip in clips:
-        first.setdefault((clip.pair.stem, clip.pair.window), clip)
+        first.setdefault(clip.pair.of, clip)
     above, variance = [], []
     for clip in first.values():
         values = clip.recording if of_recordings else clip.metrics

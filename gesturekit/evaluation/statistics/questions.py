@@ -7,7 +7,6 @@ speech." All thresholds are in `thresholds`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,17 +15,17 @@ from gesturekit.evaluation.metrics.arms import ARM_KEYS
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     ClipResult,
-    Finding,
     Level,
     MetricResult,
     ModelResult,
+    QuestionAnswer,
 )
 from gesturekit.evaluation.statistics import thresholds
-from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.levels import (
-    add_blind_floors,
+    add_speech_blind_floors,
     least_likeness,
     level_text,
+    mark_reached_floors,
     on_its_floor,
     reached_floor,
 )
@@ -34,28 +33,25 @@ from gesturekit.evaluation.statistics.likeness import ASPECTS, aspects_of
 from gesturekit.evaluation.statistics.model_metrics import above_chance
 from gesturekit.wording import listed
 
-IN_TIME, LIKE, NEW = (
-    "In time with the speech?",
-    "Moves like this speaker?",
-    "Is it new?",
-)
+QUESTIONS = {
+    "in_time": "In time with the speech?",
+    "likeness": "Moves like this speaker?",
+    "novelty": "Is it new?",
+}
+"""Questions by the key of their metric."""
 UNANSWERABLE = "cannot be answered"
 Results = Mapping[str, MetricResult]
 
 
-def answer(models: Sequence[ModelResult]) -> None:
+def answer_questions(models: Sequence[ModelResult]) -> None:
     """Answer the three questions for each model; models that ignore speech are floors of timing."""
-    add_blind_floors(models, _timing_by_take)
+    add_speech_blind_floors(models)
+    mark_reached_floors(models)
     for model in models:
-        model.answers = answers(model.clips, model.metrics)
+        model.answers = answers_of(model.clips, model.metrics)
 
 
-def _timing_by_take(model: ModelResult) -> np.ndarray:
-    clips = [clip for clip in model.clips if "in_time" in clip.metrics]
-    return Takes.of([c.pair for c in clips]).means([c.metrics["in_time"] for c in clips])
-
-
-def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
+def answers_of(clips: Sequence[ClipResult], metrics: Results) -> list[QuestionAnswer]:
     """Return the answers to the three questions.
 
     Args:
@@ -63,27 +59,27 @@ def answers(clips: Sequence[ClipResult], metrics: Results) -> list[Finding]:
         metrics: its results by key of `definitions`.
     """
     if broken := defects(metrics):
-        why = f"the motion is broken: {', '.join(broken)}."
-        return [
-            Finding(question, key, NOT_ASKED, f"Not asked, as {why}")
-            for question, key in ((IN_TIME, "in_time"), (LIKE, "likeness"), (NEW, "novelty"))
-        ]
-    found = [_timing(clips, metrics), _likeness(metrics), _novelty(clips, metrics)]
-    return [_on_its_line(finding, metrics.get(finding.key)) for finding in found]
+        why = f"Not asked, as the motion is broken: {', '.join(broken)}."
+        return [QuestionAnswer(text, key, NOT_ASKED, why) for key, text in QUESTIONS.items()]
+    found = (_timing(clips, metrics), _likeness(metrics), _novelty(clips, metrics))
+    return [
+        QuestionAnswer(text, key, state, _with_level(sentence, metrics.get(key)))
+        for (key, text), (state, sentence) in zip(QUESTIONS.items(), found, strict=True)
+    ]
 
 
-def _on_its_line(finding: Finding, result: MetricResult | None) -> Finding:
-    """Return a finding that says where its score is above the ceiling or no higher than a floor."""
+def _with_level(sentence: str, result: MetricResult | None) -> str:
+    """Return an answer that says where its score is above the ceiling or no higher than a floor."""
     if result is None or not result.informative:
-        return finding
+        return sentence
     floor, ceiling, value = on_its_floor(result), result.ceiling, result.interval.value
     if floor is not None:
         text = f"no higher than its floor, {level_text(floor)}"
-    elif finding.key != "novelty" and ceiling is not None and _is_above(value, ceiling):
+    elif result.key != "novelty" and ceiling is not None and _is_above(value, ceiling):
         text = f"above its ceiling, {level_text(ceiling)}"
     else:
-        return finding
-    return replace(finding, sentence=f"{finding.sentence.removesuffix('.')}; {text}.")
+        return sentence
+    return f"{sentence.removesuffix('.')}; {text}."
 
 
 def _is_above(value: float, ceiling: Level | None) -> bool:
@@ -91,8 +87,8 @@ def _is_above(value: float, ceiling: Level | None) -> bool:
     return ceiling is not None and value > ceiling.value + (ceiling.spread or 0.0)
 
 
-def _cannot_be_answered(question: str, key: str, why: str) -> Finding:
-    return Finding(question, key, UNANSWERABLE, f"Cannot be answered on this corpus: {why}")
+def _cannot_be_answered(why: str) -> tuple[str, str]:
+    return UNANSWERABLE, f"Cannot be answered on this corpus: {why}"
 
 
 def _no_room(result: MetricResult) -> str:
@@ -128,12 +124,11 @@ def defects(metrics: Results) -> list[str]:
     return found
 
 
-def _timing(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
+    """Return state and sentence of the first answer."""
     result = metrics.get("in_time")
     if result is None or result.recording is None:
-        return Finding(
-            IN_TIME, "in_time", "not measured", "Not measured: no speech with arms to move."
-        )
+        return "not measured", "Not measured: no speech with arms to move."
     if not result.informative:
         return _timing_without_recordings(clips, metrics)
     low = result.interval.low
@@ -143,30 +138,30 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> Finding:
     else:
         lucky = low <= 0.0 and share < thresholds.IN_TIME
     if share < thresholds.LOOSELY_IN_TIME or lucky or on_its_floor(result):
-        return Finding(IN_TIME, "in_time", "no", "Not in time with the speech.")
+        return "no", "Not in time with the speech."
     if share < thresholds.IN_TIME:
-        return Finding(IN_TIME, "in_time", "partly", "Loosely in time with the speech.")
+        return "partly", "Loosely in time with the speech."
     if share > thresholds.TOO_STRICT:
         text = "In time with the speech, more strictly than the speaker."
-        return Finding(IN_TIME, "in_time", "partly", text)
-    return Finding(IN_TIME, "in_time", "yes", "As much in time with the speech as the speaker.")
+        return "partly", text
+    return "yes", "As much in time with the speech as the speaker."
 
 
-def _timing_without_recordings(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+def _timing_without_recordings(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     """Return whether a model is above its own chance level, where recordings give no measure."""
     result = metrics["in_time"]
     if no_room := _no_room(result):
-        return _cannot_be_answered(IN_TIME, "in_time", no_room)
-    seconds = sum({(c.pair.stem, c.pair.window): c.seconds for c in clips}.values())
+        return _cannot_be_answered(no_room)
+    seconds = sum({c.pair.of: c.seconds for c in clips}.values())
     few = (
         f"{seconds:.0f} s of speech are too few, or move the speaker's arms too little, to say "
         "whether as much as the speaker"
     )
     if _above_chance(metrics):
         text = f"In time with the speech more than by chance; {few}."
-        return Finding(IN_TIME, "in_time", "partly", text)
+        return "partly", text
     text = f"Not in time with the speech more than by chance; {few}."
-    return Finding(IN_TIME, "in_time", UNANSWERABLE, text)
+    return UNANSWERABLE, text
 
 
 def _above_chance(metrics: Results) -> bool:
@@ -177,18 +172,18 @@ def _above_chance(metrics: Results) -> bool:
     return sds is not None and sds.interval.value >= thresholds.ABOVE_CHANCE
 
 
-def _likeness(metrics: Results) -> Finding:
+def _likeness(metrics: Results) -> tuple[str, str]:
     result = metrics.get("likeness")
     if result is None:
         text = "Not measured: no body parts to compare, or fewer than three clips of the speaker."
-        return Finding(LIKE, "likeness", "not measured", text)
+        return "not measured", text
     if not result.informative:
         few = "takes of this speaker are too unlike one another, or too short, to compare with."
-        return _cannot_be_answered(LIKE, "likeness", _no_room(result) or few)
+        return _cannot_be_answered(_no_room(result) or few)
     value = result.interval.value
     untested = "" if result.tested_against_speaker else "; not tested against another speaker"
     if value >= least_likeness(result.ceiling) and on_its_floor(result) is None:
-        return Finding(LIKE, "likeness", "yes", f"Moves like this speaker{untested}.")
+        return "yes", f"Moves like this speaker{untested}."
     aspects = aspects_of(result.groups)
     missed = sorted(
         (a for a in aspects if aspects[a] < thresholds.NAMED_ASPECT), key=aspects.__getitem__
@@ -196,8 +191,8 @@ def _likeness(metrics: Results) -> Finding:
     differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
     differs += _speakers(result) + untested
     if value >= thresholds.LEAST_PARTLY_LIKE and on_its_floor(result) is None:
-        return Finding(LIKE, "likeness", "partly", f"Moves somewhat like this speaker{differs}.")
-    return Finding(LIKE, "likeness", "no", f"Does not move like this speaker{differs}.")
+        return "partly", f"Moves somewhat like this speaker{differs}."
+    return "no", f"Does not move like this speaker{differs}."
 
 
 def _speakers(result: MetricResult) -> str:
@@ -211,11 +206,11 @@ def _speakers(result: MetricResult) -> str:
     return f"; it differs between speakers: {listed(each, 6)}"
 
 
-def _novelty(clips: Sequence[ClipResult], metrics: Results) -> Finding:
+def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     result, still = metrics.get("novelty"), metrics.get("near_still")
     if still is not None and still.interval.value >= thresholds.MOTIONLESS:
         text = "the hands hardly move, and what does not move is near to any motion."
-        return _cannot_be_answered(NEW, "novelty", text)
+        return _cannot_be_answered(text)
     if result is None:
         splits = {getattr(getattr(c.pair.reference, "item", None), "split", "") for c in clips}
         text = "the clips are too short, or the rig's arms and legs are not known."
@@ -223,32 +218,32 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> Finding:
             text = "these are the recordings that the model was trained on; evaluate others."
         elif "one_nn" in metrics:
             text = "no training motion is given; name a manifest that has a training split."
-        return Finding(NEW, "novelty", "not measured", f"Not asked: {text}")
+        return "not measured", f"Not asked: {text}"
     if not result.informative:
         text = (
             "the recordings themselves are the same as training motion, or do not move. Look for "
             "one recording in two splits."
         )
-        return _cannot_be_answered(NEW, "novelty", text)
+        return _cannot_be_answered(text)
     ratios = {f"the {side} arm": _ratio(metrics, key) for side, key in ARM_KEYS.items()}
     arms = [arm for arm, ratio in ratios.items() if ratio is not None and ratio < thresholds.COPIED]
     seeds = _seeds(metrics)
     if result.interval.value < thresholds.COPIED:
-        return Finding(NEW, "novelty", "no", f"Mostly copied from training motion{seeds}.")
+        return "no", f"Mostly copied from training motion{seeds}."
     if arms:
         text = f"Mostly copied from training motion: {' and '.join(arms)}{seeds}."
-        return Finding(NEW, "novelty", "no", text)
+        return "no", text
     if result.interval.value < thresholds.NEAR:
         text = "Nearer to training motion than other recordings are: partly copied, or less lively"
-        return Finding(NEW, "novelty", "no", f"{text}{seeds}.")
+        return "no", f"{text}{seeds}."
     lowest = _ratio(metrics, "copying_low")
     if lowest is not None and lowest < thresholds.OCCASIONALLY_COPIED:
         text = f"New, but occasionally copied from training motion{seeds}."
-        return Finding(NEW, "novelty", "partly", text)
+        return "partly", text
     text = "New: as far from training motion as other recordings"
     if _is_above(result.interval.value, result.ceiling):
         text = "New: farther from training motion than other recordings, as odd motion is too"
-    return Finding(NEW, "novelty", "yes", f"{text}{seeds}.")
+    return "yes", f"{text}{seeds}."
 
 
 def _seeds(metrics: Results) -> str:
