@@ -47,7 +47,7 @@ class Conditions:
     def width(self) -> int:
         """S + K + C, the channels of a condition: speech, styles, state, in this order.
 
-        The state stands last, with its carriers at its end; training and streaming count from there.
+        The state stands last, its carriers at its end: training and streaming count from there.
         """
         n_state = 0 if self.state is None else self.state.width
         return len(self.styles) + len(self.columns) + n_state
