@@ -122,7 +122,7 @@ def main() -> None:
             "note": "the same; other: real time",
         }
     pieces, whole = measured_hour(TILE), measured_hour(HOUR)
-    motion = HOUR * network.levels[0].layers[0].shape[1] * 4 / 2**20
+    motion = HOUR * network.levels[0].layers[-1].shape[0] * 4 / 2**20
     figures["sample_hour"] = {
         "ours": pieces[0],
         "other": whole[0],

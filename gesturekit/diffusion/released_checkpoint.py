@@ -131,9 +131,10 @@ class ReleasedCheckpoint:
             scalers = {name: _scaler(value) for name, value in data.pop("scalers").items()}
             tensors = plain_tensors(path, state)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
+            why = f"no entry {error}" if isinstance(error, KeyError) else error
             raise ModelError(
-                f"{path}: no checkpoint of Listen, Denoise, Action! ({type(error).__name__}: "
-                f"{error}); expected the .ckpt that its training wrote"
+                f"{path}: no checkpoint of Listen, Denoise, Action! ({why}); expected the .ckpt "
+                "that its training wrote"
             ) from error
         ours = {
             name.removeprefix(_NETWORK): tensor

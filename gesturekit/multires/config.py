@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+import audio_features as af
 from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import (
     Limits,
@@ -32,7 +33,10 @@ class NetworkConfig(Settings):
     """The pyramid of generators and discriminators (section 3 of the paper)."""
 
     levels: Annotated[int, Limits(64, is_above=True)] = 10
-    """Number of levels L; each level has 3/4 as many frames as the next finer one."""
+    """Number of levels L."""
+    factor: Annotated[float, Limits(4)] = 4 / 3
+    """Factor F (eq. 3): frames of a level over those of the next coarser one, from 1.1; other
+    values than 4/3 are an ablation."""
     channels: tuple[int, ...] = (6, 9, 9)
     """Channels of each hidden layer, see `channels_per`; an output layer follows."""
     channels_per: Literal["block", "layer"] = "block"
@@ -46,9 +50,10 @@ class NetworkConfig(Settings):
     """Joints and contact labels that take a contact label as input: all within `neighbour_distance`
     of its foot joint, or those at the foot joint alone (GANimator). The root's displacement takes
     all labels."""
-    film: Literal["input", "all"] = "all"
+    film: Literal["input", "all", "concatenate"] = "all"
     """Layers that FiLM modulates: only the input of each level (the paper), or also all hidden
-    layers."""
+    layers. With `concatenate` there is no FiLM: y_i are further channels of the input, which the
+    first convolution connects to the blocks of `modulate` (an ablation)."""
     embedding: Annotated[int, Limits(4096, is_above=True)] = 64
     """Dimension of y_i, the embedding of the condition (eq. 8)."""
     rectify_embedding: bool = True
@@ -63,8 +68,16 @@ class NetworkConfig(Settings):
         """Yield what is wrong with the settings, beside numbers out of their limits."""
         if self.kernel % 2 == 0:
             yield f"kernel: {self.kernel} must be odd"
+        if self.factor < 1.1:
+            yield f"factor: {self.factor:g} must be 1.1 to 4"
+        elif self.factor ** (self.levels - 1) > 1e8:
+            yield f"levels: {self.levels} with factor {self.factor:g}: too many; use fewer levels"
         if not 0 < len(self.channels) <= 64 or not all(0 < n <= 4096 for n in self.channels):
             yield f"channels: {list(self.channels)} must be 1 to 64 numbers to 4096"
+
+    def lengths(self, n_frames: int) -> list[int]:
+        """Return the number of frames of every level, coarse to fine; the last is `n_frames`."""
+        return af.level_lengths(n_frames, self.levels, self.factor)
 
     @property
     def n_frames_of_patch(self) -> int:
@@ -78,7 +91,7 @@ class NetworkConfig(Settings):
         Generated motion moves less near its ends, because upsampling repeats the end frames and
         convolutions pad by reflection. The margin keeps this outside of the returned motion.
         """
-        return round(_MARGIN_COARSE * (4 / 3) ** (self.levels - 1))
+        return round(_MARGIN_COARSE * self.factor ** (self.levels - 1))
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
+from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.training.clips import ground_positions
@@ -141,7 +141,7 @@ def fit_keyframes(
     representation: MultiresRepresentation,
     motion: Motion,
     fps: float,
-    levels: int,
+    network: NetworkConfig,
     level: int,
     n_frames: int | None,
 ) -> Motion:
@@ -151,14 +151,14 @@ def fit_keyframes(
         representation: of the model.
         motion: the edited motion.
         fps: frames per second of the finest level.
-        levels: number of levels of the model.
+        network: of the model.
         level: index of the level that the motion replaces.
         n_frames: frames of the result at `fps`; None if the keyframes determine the length.
 
     Raises:
         ModelError: a rig that cannot be retargeted to the model's.
     """
-    end = None if n_frames is None else af.level_lengths(n_frames, levels)[level]
+    end = None if n_frames is None else network.lengths(n_frames)[level]
     motion = _without_held_frames(motion, end)
     retargeted = on_rig(representation, motion)
     if retargeted is not motion:
@@ -168,7 +168,7 @@ def fit_keyframes(
             representation.skeleton.n_joints,
         )
     wanted = full_frames(motion, fps) if n_frames is None else n_frames
-    _warn_of_misfit(motion, fps, af.level_lengths(wanted, levels), level, n_frames is not None)
+    _warn_of_misfit(motion, fps, network.lengths(wanted), level, n_frames is not None)
     return retargeted
 
 

@@ -28,6 +28,7 @@ from torch.autograd.function import once_differentiable
 
 from audio_features.pyramid import interpolation_weights
 from gesturekit.errors import ConfigError
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation
 
@@ -140,6 +141,23 @@ def block_neighbours(
     return near
 
 
+def modulated_blocks(representation: MultiresRepresentation, config: NetworkConfig) -> np.ndarray:
+    """Return (blocks,) bool, True for blocks that the condition modulates.
+
+    Contacts and the root's displacement are modulated only with `modulate: all`. If the upper body
+    of a rig cannot be identified, `upper` modulates every block too.
+    """
+    skeleton, n_blocks = representation.skeleton, len(representation.block_sizes)
+    if config.modulate == "all" or (config.modulate == "upper" and unidentified(skeleton)):
+        return np.ones(n_blocks, dtype=bool)
+    if config.modulate == "upper":
+        names = set(upper_body(skeleton))
+    else:
+        names = {skeleton.names[skeleton.index(name)] for name in config.modulate}
+    joints = [name in names for name in representation.joints]
+    return np.array(joints + [False] * (n_blocks - len(joints)))
+
+
 class SkeletonConv1d(nn.Module):
     """Convolution over time in which each output block depends only on the input blocks near it.
 
@@ -147,7 +165,7 @@ class SkeletonConv1d(nn.Module):
     and takes no memory in the optimiser or the model file.
 
     Args:
-        neighbours: (blocks, blocks) bool, see `block_neighbours`.
+        neighbours: (output blocks, input blocks) bool, see `block_neighbours`.
         sizes_in: channels of each input block.
         sizes_out: channels of each output block.
         kernel: odd number of frames; the ends are padded by reflection.
@@ -196,7 +214,11 @@ def module_list(modules: Iterable[Modules]) -> Sequence[Modules]:
 
 
 def skeleton_layers(
-    representation: MultiresRepresentation, config: NetworkConfig, *, output: bool
+    representation: MultiresRepresentation,
+    config: NetworkConfig,
+    *,
+    output: bool,
+    n_concatenated: int = 0,
 ) -> Sequence[SkeletonConv1d]:
     """Return the skeleton convolutions of one level, from motion vectors to hidden features.
 
@@ -204,24 +226,26 @@ def skeleton_layers(
         representation: of the motion vectors.
         config: widths, kernel and neighbours.
         output: add a last layer, back to motion vectors.
+        n_concatenated: further channels of the input, which the modulated blocks see.
     """
-    near, sizes = _sizes(representation, config, output)
-    return module_list(
-        SkeletonConv1d(near, *pair, config.kernel) for pair in itertools.pairwise(sizes)
-    )
+    shapes = _shapes(representation, config, output, n_concatenated)
+    return module_list(SkeletonConv1d(*shape, config.kernel) for shape in shapes)
 
 
-def n_weights(representation: MultiresRepresentation, config: NetworkConfig) -> int:
+def n_weights(
+    representation: MultiresRepresentation, config: NetworkConfig, n_condition: int
+) -> int:
     """Return the number of weights of all generators' skeleton convolutions, without making any."""
-    near, sizes = _sizes(representation, config, output=True)
-    connected = sum(np.array(b) @ near @ np.array(a) for a, b in itertools.pairwise(sizes))
+    n_concatenated = config.embedding if n_condition and config.film == "concatenate" else 0
+    shapes = _shapes(representation, config, True, n_concatenated)
+    connected = sum(np.array(b) @ near @ np.array(a) for near, a, b in shapes)
     return config.levels * config.kernel * int(connected)
 
 
-def _sizes(
-    representation: MultiresRepresentation, config: NetworkConfig, output: bool
-) -> tuple[np.ndarray, list[tuple[int, ...]]]:
-    """Return the neighbours of blocks, and the channels of each block before and after each layer.
+def _shapes(
+    representation: MultiresRepresentation, config: NetworkConfig, output: bool, n_concatenated: int
+) -> list[tuple[np.ndarray, tuple[int, ...], tuple[int, ...]]]:
+    """Return each layer's neighbours, and the channels of its input and of its output blocks.
 
     Raises:
         ConfigError: the dense kernel of a layer would take too much memory.
@@ -231,12 +255,17 @@ def _sizes(
     parts = len(near) if config.channels_per == "layer" else 1
     widths = [math.ceil(channels / parts) for channels in config.channels]
     sizes = [motion, *((width,) * len(near) for width in widths), *[motion] * output]
-    if max(sum(a) * sum(b) for a, b in itertools.pairwise(sizes)) * config.kernel > _MOST_WEIGHTS:
+    shapes = [(near, a, b) for a, b in itertools.pairwise(sizes)]
+    if n_concatenated:
+        seen = modulated_blocks(representation, config)
+        first = np.column_stack([near, seen]), (*motion, n_concatenated), sizes[1]
+        shapes[0] = first
+    if max(sum(a) * sum(b) for _, a, b in shapes) * config.kernel > _MOST_WEIGHTS:
         raise ConfigError(
             f"channels: {list(config.channels)} and kernel {config.kernel} on {len(near)} blocks: "
             f"a dense layer would have over {_MOST_WEIGHTS} weights"
         )
-    return near, sizes
+    return shapes
 
 
 def convolve_dense(

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import Speech, as_speech, speech_features, to_output_rate
 from gesturekit.errors import ModelError, gesturekit_errors
@@ -224,7 +223,7 @@ class MultiresModel(TrainedModel):
             raise ModelError(
                 f"sequence {name!r}: it has {sequence.frames} frames, its speech {len(features)}"
             )
-        lengths = af.level_lengths(sequence.frames, self.network_config.levels)
+        lengths = self.network_config.lengths(sequence.frames)
         styles: list[Tensor] = []
         if sequence.style is not None:
             numbers = torch.full((1, len(lengths)), self.styles.index(sequence.style))
@@ -297,7 +296,7 @@ class MultiresModel(TrainedModel):
         )
         trained = parts.tensors_under("network.")
         given = sum(t.numel() for name, t in trained.items() if _CONVOLUTION.search(name))
-        if (needed := n_weights(representation, network_config)) != given:
+        if (needed := n_weights(representation, network_config, conditions.width)) != given:
             raise ValueError(f"{needed} weights by config.yaml, {given} in model.safetensors")
         network = MultiresGenerator(representation, conditions.width, network_config)
         network.load_state_dict(trained)

@@ -16,7 +16,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.multires import losses
 from gesturekit.multires.config import LossConfig, NetworkConfig
 from gesturekit.multires.layers import (
@@ -24,6 +23,7 @@ from gesturekit.multires.layers import (
     Convolve,
     SkeletonConv1d,
     convolve_dense,
+    modulated_blocks,
     module_list,
     reflect,
     resample,
@@ -63,41 +63,29 @@ class Film(nn.Module):
         return x + x * gamma + delta
 
 
-def modulated_blocks(representation: MultiresRepresentation, config: NetworkConfig) -> np.ndarray:
-    """Return (blocks,) bool, True for blocks that the condition modulates.
-
-    Contacts and the root's displacement are modulated only with `modulate: all`. If the upper body
-    of a rig cannot be identified, `upper` modulates every block too.
-    """
-    skeleton, n_blocks = representation.skeleton, len(representation.block_sizes)
-    if config.modulate == "all" or (config.modulate == "upper" and unidentified(skeleton)):
-        return np.ones(n_blocks, dtype=bool)
-    if config.modulate == "upper":
-        names = set(upper_body(skeleton))
-    else:
-        names = {skeleton.names[skeleton.index(name)] for name in config.modulate}
-    joints = [name in names for name in representation.joints]
-    return np.array(joints + [False] * (n_blocks - len(joints)))
-
-
 class LevelGenerator(nn.Module):
     """Generator of one level: adds detail to the coarser motion, eqs. 6, 7 and 10.
 
     G_i(x, z, s) = g_i(FiLM(up(x) + z, y)) + up(x), with y = S_i(s) the embedding of the condition
-    and g_i a chain of skeleton convolutions. With `film: all` each of them is modulated.
+    and g_i a chain of skeleton convolutions. With `film: all` each of them is modulated; with
+    `film: concatenate` none is, and y is a part of the input: g_i(up(x) + z, y) + up(x).
     """
 
     def __init__(
         self, representation: MultiresRepresentation, n_condition: int, config: NetworkConfig
     ) -> None:
         super().__init__()
-        self.layers = skeleton_layers(representation, config, output=True)
+        self.concatenates = bool(n_condition) and config.film == "concatenate"
+        n_concatenated = config.embedding if self.concatenates else 0
+        self.layers = skeleton_layers(
+            representation, config, output=True, n_concatenated=n_concatenated
+        )
         self.rectify_embedding, self.residual = config.rectify_embedding, config.residual
         self.embed, self.films = None, module_list(list[Film]())
         if n_condition:
             self.embed = nn.Conv1d(n_condition, config.embedding, 1)
             blocks = modulated_blocks(representation, config)
-            modulated = self.layers[:1] if config.film == "input" else self.layers
+            modulated = self.layers[: {"input": 1, "concatenate": 0}.get(config.film)]
             self.films = module_list(
                 Film(config.embedding, np.repeat(blocks, layer.sizes[0])) for layer in modulated
             )
@@ -122,10 +110,11 @@ class LevelGenerator(nn.Module):
         if self.embed is not None and condition is not None:
             y = self.embed(condition)
             y = F.leaky_relu(y, SLOPE) if self.rectify_embedding else y
+            x = torch.cat([x, y], dim=1) if self.concatenates else x
         # Layers between one modulation and the next.
         chains = [[layer] for layer in self.layers] if len(self.films) > 1 else [self.layers]
         for i, chain in enumerate(chains):
-            x = x if y is None else self.films[i](x, y)
+            x = x if y is None or self.concatenates else self.films[i](x, y)
             x = convolve(chain, x, SLOPE, 1.0 if i == len(chains) - 1 else SLOPE)
         return x + up if self.residual else x
 
@@ -171,7 +160,7 @@ class MultiresGenerator(nn.Module):
             level = self.levels[first + i]
             if coarser is None:
                 assert noise is not None
-                up = noise.new_zeros(len(noise), level.layers[0].shape[1], n_frames)
+                up = noise.new_zeros(len(noise), level.layers[-1].shape[0], n_frames)
             else:
                 up = resample(coarser.detach(), n_frames)
             if noise is None:

@@ -334,7 +334,7 @@ def sample(
     """
     if coarser is None:
         assert noises[0] is not None
-        n_columns = network.levels[0].layers[0].shape[1]
+        n_columns = network.levels[0].layers[-1].shape[0]
         coarser = noises[0].new_zeros(len(noises[0]), n_columns, lengths[0])
     levels = network.levels[first : first + len(lengths)]
     backend = choose_backend("auto", *levels)

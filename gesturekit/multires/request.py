@@ -76,9 +76,9 @@ class Request:
         seconds: float | None,
     ) -> None:
         representation, fps = model.representation, model.fps
-        n_levels, conditioner = model.network_config.levels, model.conditions.conditioner
+        network, conditioner = model.network_config, model.conditions.conditioner
         self.controls = controls
-        self.is_coarse = controls["levels"] not in (None, n_levels)
+        self.is_coarse = controls["levels"] not in (None, network.levels)
         whole = [n for n, v in controls.items() if n in _OF_ALL_LEVELS and v is not None]
         if {"path", "like"} <= {*whole}:
             raise ModelError("path and like: give one of them")
@@ -96,7 +96,7 @@ class Request:
         edited = None if controls["keyframes"] is None else self.start
         if not length_given:
             if edited is not None:
-                self.start = fit_keyframes(representation, edited, fps, n_levels, level, None)
+                self.start = fit_keyframes(representation, edited, fps, network, level, None)
             seconds = _own_seconds(fps, self.start, self.clips, path)
         if conditioner is not None and speech is not None and not isinstance(speech, af.Wave):
             speech = af.Wave.load(speech)
@@ -104,16 +104,16 @@ class Request:
         features = speech_features(conditioner, speech, seconds, fps, controls["vad"])
         self.n_frames = n_frames = len(features)
         if edited is not None and length_given:
-            self.start = fit_keyframes(representation, edited, fps, n_levels, level, n_frames)
+            self.start = fit_keyframes(representation, edited, fps, network, level, n_frames)
         if controls["like"] is not None and self.start is not None:
             _warn_of_held_pose(self.start, n_frames / fps)
         if self.clips is not None:
             self.clips.check_end(n_frames)
         # A coarse level is edited frame by frame, so it gets no frames around it.
         generates = self.start is None and not self.is_coarse
-        self.margin = model.network_config.margin if generates else 0
+        self.margin = network.margin if generates else 0
         self.features = _with_margins(features, self.margin)
-        self.lengths = af.level_lengths(n_frames + 2 * self.margin, n_levels)
+        self.lengths = network.lengths(n_frames + 2 * self.margin)
         speaker = controls["speaker"]
         self.skeleton = None if speaker is None else model.speakers[speaker]
         self.path = None if path is None else path.resample(fps, n_frames)

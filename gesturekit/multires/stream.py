@@ -205,7 +205,7 @@ class MultiresStream(Resumable):
         self._predictions, self._ahead = predictions, ahead[0]
         self._horizons = (ahead[0] - np.array(ahead)) / model.fps
         n = 2 * self._around
-        lengths = af.level_lengths(n, model.network_config.levels)
+        lengths = model.network_config.lengths(n)
         styles, style = _styles(model, controls, lengths, seed, item)
         impulse = np.zeros(2 * self._around + 1, np.float32)
         impulse[self._around] = 1.0

@@ -265,7 +265,7 @@ class WindowLevels:
                 given = torch.cat([features @ level.features, channels @ level.means, clocked])
                 if motion is None:
                     noise = self._sigma * mixed_carriers(clocked[None])[0]
-                    x = noise.expand(level.layers[0].shape[1], -1)
+                    x = noise.expand(level.layers[-1].shape[0], -1)
                     motion = self._added(level, x, given)
                 else:
                     up = motion @ level.up
@@ -279,6 +279,7 @@ class WindowLevels:
         """Return the detail (D, T) that a level adds to x (D, T), from its condition."""
         y = level.embedding @ given + level.offset
         y = F.leaky_relu(y, SLOPE) if level.rectified else y
+        x = torch.cat([x, y]) if level.concatenates else x
         films = torch.addmm(level.shifts, level.gains, y)
         for i, layer in enumerate(level.layers):
             if len(films):
@@ -303,6 +304,7 @@ class _Level:
         embedding: (E, S + C + H + 4 H) weights of the speech features and of the state.
         offset: (E, T) the rest of the embedding: its bias, and a style.
         rectified: False for a linear embedding.
+        concatenates: True if the embedding is a part of the input.
         gains: (2 C of the modulated layers, E) weights of gains and shifts.
         shifts: (2 C of the modulated layers, 1) their biases.
     """
@@ -319,6 +321,7 @@ class _Level:
         level, n_frames = model.network.levels[number], lengths[number]
         begin, end = max(0, part.start - halo(level)), min(n_frames, part.stop + halo(level))
         self.layers, self.rectified = level.layers, level.rectify_embedding
+        self.concatenates = level.concatenates
         self.kept = slice(part.start - begin, part.stop - begin)
         self.coarser, self.up = range(begin, end), torch.empty(0)
         if number:
@@ -339,8 +342,9 @@ class _Level:
         of_speech, of_style, of_state = weight.split([n_features, len(style), n_state], dim=1)
         self.embedding = torch.cat([of_speech, of_state], dim=1)
         self.offset = level.embed.bias[:, None] + of_style @ style
-        gains, shifts = zip(*(rows for film in level.films for rows in _padded(film)), strict=True)
-        self.gains, self.shifts = torch.cat(gains), torch.cat(shifts)[:, None]
+        rows = [rows for film in level.films for rows in _padded(film)]
+        self.gains = torch.cat([gains for gains, _ in rows] or [torch.empty(0, len(self.offset))])
+        self.shifts = torch.cat([shifts for _, shifts in rows] or [torch.empty(0)])[:, None]
 
 
 def _padded(film: Film) -> list[tuple[Tensor, Tensor]]:

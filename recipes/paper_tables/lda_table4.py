@@ -78,13 +78,21 @@ def block(asked: argparse.Namespace, name: str, corpus: str, given: Sequence[str
         folders[label] = folder
         shares.append(f"{label} {share}")
     found: dict[str, Mapping[str, Any]] = {}
+    dashes: list[str] = []
     if folders:
         features = None if asked.features is None else FeatureModel.load(asked.features)
         variants = Variants(bas="bailando", kinetic="released")
         evaluation = gk.evaluate(
             folders, corpus, split=asked.split, protocol="lda", features=features, variants=variants
         )
-        found = {model["label"]: model["figures"] for model in evaluation.to_json()["models"]}
+        measured = evaluation.to_json()["models"]
+        found = {model["label"]: model["figures"] for model in measured}
+        dashes = [
+            f"{model['label']}, {excluded['what']}: {excluded['reason']}."
+            for model in measured
+            for excluded in model["excluded"]
+            if excluded["what"] in METRICS.values()
+        ]
     rows, missing = [], []
     if found:
         first = next(iter(found.values()))
@@ -109,7 +117,7 @@ def block(asked: argparse.Namespace, name: str, corpus: str, given: Sequence[str
     head = [name, *METRICS.values()]
     notes = [f"Trained: {'; '.join(shares)}."] if shares else []
     notes += [f"Missing: {'; '.join(missing)}."] if missing else []
-    return "\n\n".join([markdown(head, rows).rstrip(), *notes]) + "\n"
+    return "\n\n".join([markdown(head, rows).rstrip(), *notes, *dashes]) + "\n"
 
 
 def sampled(

@@ -20,6 +20,7 @@ from cells import markdown, number, share_trained
 
 import gesturekit as gk
 from gesturekit.corpus import Manifest, prepare
+from gesturekit.evaluation import pose_rmse
 from gesturekit.evaluation.metrics.patches import patch_features, patch_scores
 from gesturekit.motion.parts import body_joints
 from gesturekit.multires import MultiresModel
@@ -99,20 +100,8 @@ def scores(model: MultiresModel, name: str, recording: gk.Motion, samples: int) 
         cells += [number(100 * float(np.mean([s.coverage for s in at]))) for at in found]
         cells.append(number(float(np.mean([s.global_diversity for s in found[0]]))))
         cells.append(number(float(np.mean([s.local_diversity for s in found[0]]))))
-    return [
-        *cells,
-        number(100 * rmse(model.reconstruct(name), recording, model.representation.joints[0])),
-    ]
-
-
-def rmse(made: gk.Motion, recording: gk.Motion, root: str) -> float:
-    """Return the root mean square distance (m) of body joints, relative to the joint `root`."""
-    rig, count = recording.skeleton, min(made.n_frames, recording.n_frames)
-    joints = [rig.index(name) for name in body_joints(rig)]
-    places = [motion.positions()[:count] for motion in (made, recording)]
-    places = [each[:, joints] - each[:, rig.index(root)][:, None] for each in places]
-    apart = np.subtract(*places)
-    return float(np.sqrt((apart**2).sum(axis=-1).mean()))
+    error = pose_rmse(model.reconstruct(name), recording, body_joints(recording.skeleton))
+    return [*cells, number(100 * error)]
 
 
 if __name__ == "__main__":

@@ -117,6 +117,7 @@ SIGNS = {
     "l1_diversity": "00+0-",
     "intra_diversity": "?0+?-",
     "hellinger": "+0+?+",
+    "rmse": "00+++",
     "cca": "00--x",
     "coverage": "?0-0-",
     "global_diversity": "?0+?+",

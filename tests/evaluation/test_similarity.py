@@ -7,11 +7,13 @@ from gesturekit.evaluation import (
     cca,
     hellinger,
     l1_diversity,
+    pose_rmse,
     read_semantic,
     srgr,
     vertex_lvd,
     vertex_mse,
 )
+from gesturekit.motion import Motion, Skeleton
 
 
 def test_hellinger_by_hand():
@@ -68,6 +70,33 @@ def test_cca_refuses_other_lengths_and_motion_that_does_not_move():
         cca(np.ones((9, 2)), moving)
     with pytest.raises(MotionError, match=r"3 frames.*\b2\b"):
         cca(moving[:2], moving[:2])
+
+
+def test_rmse_of_a_pose_by_hand():
+    """Of two joints one is 5 cm too high in one of two frames: sqrt(0.05² / 4) = 0.025 m."""
+    offsets = [[0, 0, 0], [0, 0.5, 0], [0.3, 0, 0.4]]
+    rig = Skeleton(("hips", "head", "hand"), (-1, 0, 0), offsets)
+    still = np.tile([0.0, 0, 0, 1], (2, 3, 1))
+    recording = Motion(rig, still, np.zeros((2, 3)), 30.0)
+    high = {"head": [(0, 0.55, 0), (0, 0.5, 0)]}
+    # Somewhere else, facing another way, and longer by a frame.
+    turn = np.array([0.0, np.sin(0.4), 0, np.cos(0.4)])
+    turned = np.concatenate([still, still[:1]])
+    turned[:, 0] = turn
+    high["head"].append((9.0, 9.0, 9.0))
+    made = Motion(rig, turned, np.ones((3, 3)), 30.0, high)
+    assert pose_rmse(made, recording, rig.names) == pytest.approx(0.025)
+    # A turn in the second half alone is an error: the hand, 0.5 m from the axis, is off by
+    # 2 · 0.5 · sin(0.2) = 0.19867 m in both halves of the least one.
+    late = np.concatenate([still, still])
+    late[2:, 0] = turn
+    halves = [Motion(rig, rotations, np.zeros((4, 3)), 30.0) for rotations in (late, [*still] * 2)]
+    assert pose_rmse(*halves, rig.names) == pytest.approx(0.19867 / 2**0.5, abs=1e-5)
+    # A joint on the floor that never moves, from which the hips go away, is no part of the pose.
+    floor = Skeleton(("floor", "hips", "head"), (-1, 0, 1), [[0, 0, 0], [0, 1, 0], [0, 0.5, 0]])
+    walks = {"hips": [(0, 1, 0), (2, 1, 0)]}
+    pair = [Motion(floor, still, np.zeros((2, 3)), 30.0, moved) for moved in ({}, walks)]
+    assert pose_rmse(*pair, floor.names) == pytest.approx(0.0)
 
 
 def test_srgr_by_hand():

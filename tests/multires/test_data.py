@@ -20,6 +20,7 @@ from gesturekit.multires import (
     load_training_data,
     train,
 )
+from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.training.data import PairedSequence, level_sigmas
 
 
@@ -55,7 +56,7 @@ def test_a_root_that_stands_is_scaled_by_the_same_speed_at_any_rate(gesture):
 
 def test_sigma_of_a_pulse_worked_out_by_hand():
     """Four frames at three quarters: at 1/6, 3/2 and 17/6, so that (0, 0, 0, 4) is (0, 0, 10/3)."""
-    sigma = level_sigmas(torch.tensor([[[0.0, 0.0, 0.0, 4.0]]]), levels=2)
+    sigma = level_sigmas(torch.tensor([[[0.0, 0.0, 0.0, 4.0]]]), NetworkConfig(levels=2))
     # Back at 0, 5/8, 11/8 and 2 of the three, it is (0, 0, 5/4, 10/3).
     assert sigma.tolist() == pytest.approx([(100 / 27) ** 0.5, ((25 / 16 + 4 / 9) / 4) ** 0.5])
 

@@ -18,11 +18,12 @@ from gesturekit.multires import MultiresGenerator, MultiresRepresentation, Netwo
 from gesturekit.multires.layers import (
     SkeletonConv1d,
     block_neighbours,
+    modulated_blocks,
     reflect,
     resample,
     resample_part,
 )
-from gesturekit.multires.networks import Film, modulated_blocks
+from gesturekit.multires.networks import Film
 from gesturekit.systems import model_folder
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)

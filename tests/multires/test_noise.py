@@ -10,8 +10,11 @@ import torch
 import gesturekit as gk
 from audio_features import level_lengths
 from gesturekit.multires import train
+from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence, ZStarPatches
 from gesturekit.multires.training.data import PairedSequence
+
+FOUR = NetworkConfig(levels=4)
 
 
 def test_every_frame_comes_up_once_before_any_comes_again():
@@ -88,16 +91,16 @@ def test_a_model_shuffles_z_star_as_in_training(make_config, motions):
 
 def test_z_star_is_noise_of_the_first_level_for_all_channels_or_each():
     motion = 0.5 * torch.randn(6, 4000, generator=torch.Generator().manual_seed(0))
-    make = partial(PairedSequence.make, "a", motion, torch.zeros(3, 4000), 4, 0)
+    make = partial(PairedSequence.make, "a", motion, torch.zeros(3, 4000), FOUR, 0)
     shared, full = make(), make(full_noise=True)
     n_coarsest = level_lengths(4000, 4)[0]
     assert shared.z_star.shape == (n_coarsest,) and full.z_star.shape == (6, n_coarsest)
     assert float(shared.z_star.std()) == pytest.approx(float(shared.sigma[0]), rel=0.05)
     assert float(full.z_star.std()) == pytest.approx(1.0, rel=0.05)
     assert torch.equal(make().z_star, shared.z_star)
-    twice = PairedSequence.make("a", 2 * motion, torch.zeros(3, 4000), 4, 0)
+    twice = PairedSequence.make("a", 2 * motion, torch.zeros(3, 4000), FOUR, 0)
     torch.testing.assert_close(twice.z_star, 2 * shared.z_star)
-    other = PairedSequence.make("b", motion, torch.zeros(3, 4000), 4, 0)
+    other = PairedSequence.make("b", motion, torch.zeros(3, 4000), FOUR, 0)
     assert not torch.equal(other.z_star, shared.z_star)
     known = torch.tensor([2.0, 0.0, 0.0, 0.0])
     assert float(make(sigma=known).z_star.std()) == pytest.approx(2.0, rel=0.05)
@@ -105,7 +108,7 @@ def test_z_star_is_noise_of_the_first_level_for_all_channels_or_each():
 
 def test_a_window_has_the_part_of_z_star_at_its_place():
     motion = torch.zeros(2, 400)
-    sequence = PairedSequence.make("a", motion, motion, 4, 0, sigma=torch.ones(4))
+    sequence = PairedSequence.make("a", motion, motion, FOUR, 0, sigma=torch.ones(4))
     whole = sequence.z_star
     count = len(whole)
     assert torch.equal(sequence.z_star_window(0, count), whole[None])
@@ -116,8 +119,8 @@ def test_a_window_has_the_part_of_z_star_at_its_place():
     n_coarsest = level_lengths(80, 4)[0]
     assert torch.equal(part.z_star, whole[round(count / 4) :][:n_coarsest])
     assert sequence.passive.shape == (0, 400) and part.passive.shape == (0, 80)
-    full = PairedSequence.make("a", motion, motion, 4, 0, full_noise=True)
+    full = PairedSequence.make("a", motion, motion, FOUR, 0, full_noise=True)
     expected = full.z_star[:, round(count / 4) :][:, :n_coarsest]
     assert torch.equal(full.cut(100, 180).z_star, expected) and expected.shape[0] == 2
-    reseeded = PairedSequence.make("a", motion, motion, 4, 1, full_noise=True)
+    reseeded = PairedSequence.make("a", motion, motion, FOUR, 1, full_noise=True)
     assert not torch.equal(full.z_star, reseeded.z_star)

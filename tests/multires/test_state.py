@@ -473,7 +473,7 @@ def test_a_level_shows_most_of_the_state_of_its_own_recording(config, folder):
 
     motion, n = one.motion[:, :62][None], len(data.conditions.state.names)
     own, others = (torch.from_numpy(state.recorded(s)[None, :n, :62]) for s in (one, other))
-    finest = StateTarget(state, 3, 4, places)
+    finest = StateTarget(state, 3, places)
     assert finest(places(motion), own) < 0.5 * finest(places(motion), others)
 
 

@@ -165,20 +165,24 @@ def test_what_was_drawn_for_a_frame_stays_though_more_becomes_known(state_model)
     assert (coming[0][:, 1:5] < coming[1][:, :4]).all()
 
 
-@pytest.mark.parametrize(("film", "residual"), [("all", False), ("input", True)])
+@pytest.mark.parametrize(
+    ("film", "residual", "factor"),
+    [("all", False, 4 / 3), ("input", True, 2.0), ("concatenate", True, 4 / 3)],
+)
 @pytest.mark.parametrize("part", [range(0, 3), range(20, 24), range(61, 64)])
-def test_levels_of_a_frame_are_those_of_the_whole_window(state_model, film, residual, part):
+def test_levels_of_a_frame_are_those_of_the_whole_window(state_model, film, residual, factor, part):
     """Some of 64 frames, as sampling makes them, with two styles."""
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
-    config = replace(state_model.network_config, film=film, rectify_embedding=not residual)
+    changes = {"film": film, "rectify_embedding": not residual, "factor": factor}
+    config = replace(state_model.network_config, **changes)
     conditions = replace(state_model.conditions, styles=("a", "b"), residual=residual)
     network = MultiresGenerator(state_model.representation, conditions.width, config).eval()
     for own in (film for level in network.levels for film in level.films):
         torch.nn.init.normal_(own.gain.weight, std=0.3)
         torch.nn.init.normal_(own.shift.bias, std=0.3)
     own = replace(state_model, network=network, network_config=config, conditions=conditions)
-    lengths = af.level_lengths(64, config.levels)
+    lengths = config.lengths(64)
     styles = [torch.tensor([[0.25], [0.75]]).expand(1, 2, n) for n in lengths]
     speech = rng.standard_normal((64, conditions.conditioner.dim)).astype(np.float32)
     state = rng.standard_normal((conditions.state.width, 64)).astype(np.float32)
@@ -189,7 +193,7 @@ def test_levels_of_a_frame_are_those_of_the_whole_window(state_model, film, resi
     found = WindowLevels(own, lengths, styles, part)(speech, state=state)
     found = own.normaliser.to_values(found[None])
     np.testing.assert_allclose(found, whole[part.start : part.stop], atol=1e-4)
-    assert np.abs(whole[20:24] - whole[24:28]).max() > 0.02, "the test can tell frames apart"
+    assert np.abs(whole[20:24] - whole[24:28]).max() > 0.005, "the test can tell frames apart"
 
 
 def test_features_of_a_stream_are_those_of_the_file_where_both_know_as_much(model, wave):

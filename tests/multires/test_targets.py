@@ -7,11 +7,12 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 
+from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.kinematics import log_movement
 from gesturekit.multires.training.data import PairedSequence
 from gesturekit.multires.training.targets import ArmTarget, DetailTarget
 
-LEVELS, LEVEL = 4, 3
+NETWORK, LEVEL = NetworkConfig(levels=4), 3
 
 
 def recording(style, seed):
@@ -19,7 +20,7 @@ def recording(style, seed):
     torch.manual_seed(seed)
     strength = (0.01, 0.1)[style] * torch.exp(torch.sin(torch.arange(200) / 20))
     motion = torch.randn(9, 200) * strength
-    return PairedSequence.make(f"{style}-{seed}", motion, torch.zeros(0, 200), LEVELS, 0)
+    return PairedSequence.make(f"{style}-{seed}", motion, torch.zeros(0, 200), NETWORK, 0)
 
 
 def windows(style):
@@ -37,7 +38,7 @@ def detail():
     """detail(motion, style): the loss of motions that are told to have a style."""
     kinds = [(style, seed) for style in (0, 1) for seed in (1, 2)]
     sequences = [replace(recording(style, seed), style=style) for style, seed in kinds]
-    target = DetailTarget(sequences, LEVEL, LEVELS, places, 50, 2)
+    target = DetailTarget(sequences, LEVEL, places, 50, 2)
 
     def loss(motion, style):
         return target(places(motion), torch.full((len(motion),), style))

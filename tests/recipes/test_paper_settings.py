@@ -148,6 +148,7 @@ SPEECH = {
     "features.residual": (True, "5"),
     "styles": (None, "5: speech only"),
     "network.levels": (10, "3.2"),
+    "network.factor": (4 / 3, "3.2"),
     "network.channels": ((128, 256, 256), "GANimator"),
     "network.channels_per": ("layer", "GANimator: rounded up to a multiple of the blocks"),
     "network.kernel": (5, "GANimator"),

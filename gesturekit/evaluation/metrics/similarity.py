@@ -1,4 +1,4 @@
-"""Similarity to a recording frame by frame (CCA, SRGR, MSE, LVD), and L1 diversity of poses."""
+"""Similarity to a recording frame by frame (RMSE, CCA, SRGR, MSE, LVD); L1 diversity of poses."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from audio_features import FeatureTrack
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import joint_paths
 from gesturekit.motion import Motion
+from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.parts.body_size import body_scale
 
 _STILL = 1e-6  # fraction of a pose's extent; a column that varies less is constant
@@ -127,6 +128,44 @@ def pose_cca(motion: Motion, recording: Motion, joints: Sequence[str]) -> float:
         1.0
     """
     return cca(*pose_pair(motion, recording, joints))
+
+
+def pose_rmse(motion: Motion, recording: Motion, joints: Sequence[str]) -> float:
+    """Return the root mean square distance of the joints of a motion from the recorded ones, m.
+
+    sqrt(mean over t and j of ||R p_tj - q_tj||²), p and q positions relative to the first joint
+    that moves (the hips), of the joints below it, over the frames that both have. R turns the whole
+    motion about the vertical so that the error is least, because a model may face all of its
+    training motion forward. Of a reconstruction from z* it is close to zero (Moreno-Villamarin et
+    al. 2024, section 4.3).
+
+    Args:
+        motion: T frames.
+        recording: the recording, at the same frame rate.
+        joints: names of the joints that both have.
+
+    Raises:
+        MotionError: a motion without the joint that moves first in the recording.
+
+    Examples:
+        A motion that goes elsewhere, and one of a body of twice the size, whose head is half a
+        metre too high:
+
+        >>> rig = gk.Skeleton(("hips", "head"), (-1, 0), [[0, 0, 0], [0, 0.5, 0]])
+        >>> recording = gk.Motion(rig, np.tile([0.0, 0, 0, 1], (2, 2, 1)), np.zeros((2, 3)), 30)
+        >>> moved = gk.Motion(rig, recording.rotations, np.ones((2, 3)), 30)
+        >>> [pose_rmse(m, recording, rig.names) for m in (moved, recording.scaled(2))]
+        [0.0, 0.5]
+    """
+    rig, root = recording.skeleton, first_moving_joint([recording])
+    below = {rig.names[j] for j in rig.descendants(root)}
+    names = [rig.names[root], *(name for name in joints if name in below)]
+    ours, theirs = (side.reshape(len(side), -1, 3) for side in pose_pair(motion, recording, names))
+    # In the ground plane x + iz, the turn by least squares is the angle of sum conj(p) q.
+    flat, goal = (side[..., 0] + 1j * side[..., 2] for side in (ours, theirs))
+    turned = flat * np.exp(1j * np.angle(np.vdot(flat, goal)))
+    squares = np.abs(turned - goal) ** 2 + (ours[..., 1] - theirs[..., 1]) ** 2
+    return float(np.sqrt(squares.mean()))
 
 
 def semantic_recall(

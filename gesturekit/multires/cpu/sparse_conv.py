@@ -160,7 +160,7 @@ class SparseConv:
     Weights are (N,), TAPS numbers for each connected pair of channels.
 
     Args:
-        neighbours: (blocks, blocks) bool, True where one block sees another.
+        neighbours: (output blocks, input blocks) bool, True where the first sees the second.
         sizes_in: channels of each input block.
         sizes_out: channels of each output block.
     """
@@ -301,7 +301,7 @@ def sparse_conv(layer: SkeletonConv1d) -> SparseConv:
 def _sparse_conv(
     neighbours: bytes, n_blocks: int, sizes_in: tuple[int, ...], sizes_out: tuple[int, ...]
 ) -> SparseConv:
-    near = np.frombuffer(neighbours, dtype=bool).reshape(n_blocks, n_blocks)
+    near = np.frombuffer(neighbours, dtype=bool).reshape(n_blocks, -1)
     return SparseConv(near, sizes_in, sizes_out)
 
 

@@ -17,11 +17,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.conditions import Conditions
-from gesturekit.multires.config import MultiresConfig
+from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.retrieval import PassiveChannels
@@ -71,6 +70,7 @@ class PairedSequence:
     TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star", "passive")
 
     name: str
+    network: NetworkConfig
     motion: Frames
     speech: Frames
     sigma: Tensor
@@ -85,13 +85,18 @@ class PairedSequence:
         """Return T, at the full rate."""
         return self.motion.shape[-1]
 
+    @property
+    def lengths(self) -> list[int]:
+        """Return T_i, frames of each level."""
+        return self.network.lengths(self.n_frames)
+
     @classmethod
     def make(
         cls,
         name: str,
         motion: Frames,
         speech: Frames,
-        levels: int,
+        network: NetworkConfig,
         seed: int,
         *,
         full_noise: bool = False,
@@ -103,21 +108,21 @@ class PairedSequence:
         `sigma` (L,) is computed from the motion if it is None; `about` are other fields.
         """
         if sigma is None:
-            sigma = level_sigmas(motion[:, :][None], levels)
+            sigma = level_sigmas(motion[:, :][None], network)
         channels, n_frames = motion.shape
-        n_coarsest = af.level_lengths(n_frames, levels)[0]
+        n_coarsest = network.lengths(n_frames)[0]
         rng = rng_for(seed, "z_star", name)
         if full_noise:
             noise = torch.randn(channels, n_coarsest, generator=rng)
         else:
             noise = torch.randn(n_coarsest, generator=rng) * sigma[0]
         about = {"passive": torch.empty(0, n_frames), **about}
-        return cls(name, motion, speech, sigma, noise, **about)
+        return cls(name, network, motion, speech, sigma, noise, **about)
 
     def cut(self, start: int, stop: int) -> PairedSequence:
         """Return frames `start` to `stop` in memory, with their part of z*."""
         frames = slice(start, stop)
-        n_coarsest = af.level_lengths(stop - start, len(self.sigma))[0]
+        n_coarsest = self.network.lengths(stop - start)[0]
         z_star = self.z_star_window(start, n_coarsest)
         return replace(
             self,
@@ -138,9 +143,9 @@ class PairedSequence:
         return resample(window, n_coarsest)
 
 
-def level_sigmas(motion: Tensor, levels: int) -> Tensor:
+def level_sigmas(motion: Tensor, network: NetworkConfig) -> Tensor:
     """Return sigma_i of all levels (L,) for a normalised motion (1, D, T)."""
-    lengths = af.level_lengths(motion.shape[-1], levels)
+    lengths = network.lengths(motion.shape[-1])
     pyramid = [resample(motion, n) for n in lengths]
     sigmas = [pyramid[0].square().mean().sqrt()]
     for coarse, fine in zip(pyramid, pyramid[1:], strict=False):
@@ -222,7 +227,7 @@ def paired_sequences(
             name,
             motion,
             speech,
-            config.network.levels,
+            config.network,
             config.seed,
             full_noise=config.z_star == "full",
             sigma=sigma,

@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, CorpusError, MotionError
@@ -26,9 +25,9 @@ from gesturekit.motion.root_path import heading
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
+from gesturekit.multires.layers import modulated_blocks
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.networks import modulated_blocks
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.multires.training.data import (
     CorpusFrames,
@@ -282,7 +281,7 @@ def _on_disk(
         conditioner = speech.fit(clips, known)
     frames = CorpusFrames.of(arrays, normaliser, conditioner)
     sigmas = [
-        level_sigmas(frames.motion[i][:, start:stop][None], config.network.levels)
+        level_sigmas(frames.motion[i][:, start:stop][None], config.network)
         for i, start, stop in cuts
     ]
     shared = torch.stack(sigmas).mean(dim=0)
@@ -305,7 +304,7 @@ def _silence(
         ConfigError: the longest recording has too few frames.
     """
     longest = max(motion.shape[-1] for motion in frames.motion)
-    if af.level_lengths(longest, config.network.levels)[0] < 2:
+    if config.network.lengths(longest)[0] < 2:
         raise ConfigError(
             f"network.levels: {config.network.levels} levels leave one frame of the longest "
             f"recording ({longest / config.fps:.1f} s) at the coarsest; use fewer levels"
@@ -345,16 +344,16 @@ def warn_of_speech(config: MultiresConfig, data: TrainingData) -> None:
     patches of the discriminator."""
     if data.unpaired_is_paired:
         log.warning("The corpus has no unpaired speech: random steps take the paired speech.")
-    levels, least = config.network.levels, config.network.n_frames_of_patch
+    network, least = config.network, config.network.n_frames_of_patch
     lengths = [clip.shape[-1] for clip in data.unpaired]
-    short = [n for n in lengths if af.level_lengths(n, levels)[0] < least]
+    short = [n for n in lengths if network.lengths(n)[0] < least]
     if data.own_lengths and short:
         log.warning(
             "%d of %d clips of unpaired speech have fewer than the %d frames of a discriminator's "
             "patch at level 1, which sees them reflected: of %d levels, clips of %.1f s or more "
             "have enough.",
-            *(len(short), len(lengths), least, levels),
-            math.ceil((least - 0.5) * (4 / 3) ** (levels - 1)) / config.fps,
+            *(len(short), len(lengths), least, network.levels),
+            math.ceil((least - 0.5) * network.factor ** (network.levels - 1)) / config.fps,
         )
 
 

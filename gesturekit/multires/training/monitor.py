@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
@@ -99,7 +98,7 @@ class Monitor:
         """Return the motion generated for an excerpt, (D, T) normalised."""
         device = next(network.parameters()).device
         sequence, n_frames = self.excerpts[number]
-        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        lengths = self.config.network.lengths(n_frames)
         speech = sequence.speech[:, :n_frames][None]
         rng, state = rng_for(self.config.seed, "monitor", number), None
         noises = self.noise.gaussian(lengths[:levels], lambda _: rng)
@@ -126,7 +125,7 @@ class Monitor:
     def _at_level(self, motion: Tensor, levels: int) -> Tensor:
         """Return motion (D, T) with only the detail that the first `levels` levels can hold."""
         n_frames = motion.shape[-1]
-        coarse = af.level_lengths(n_frames, self.config.network.levels)[levels - 1]
+        coarse = self.config.network.lengths(n_frames)[levels - 1]
         return resample(resample(motion, coarse), n_frames)
 
     def _patch_spread(self, motions: list[Tensor]) -> float:

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.multires.conditions import style_levels
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
@@ -170,7 +169,7 @@ class TrainingState:
         self, model: MultiresModel, state: np.ndarray, speech: np.ndarray, style: int | None
     ) -> np.ndarray:
         """Return the channels (C, T) of a motion that is made of a condition (C + H + 4 H, T)."""
-        lengths = af.level_lengths(state.shape[1], model.network_config.levels)
+        lengths = model.network_config.lengths(state.shape[1])
         styles = []
         if style is not None:
             numbers = torch.full((1, len(lengths)), style)

@@ -22,7 +22,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-import audio_features as af
 from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
@@ -149,7 +148,6 @@ class DetailTarget(nn.Module):
     Args:
         sequences: recordings.
         level: index of the level; not the first.
-        levels: L.
         places: converts normalised motion (B, D, T) to joint positions (B, K, 3, T), metres.
         window: frames of a window at the full rate; None for whole sequences.
         styles: number of styles; 1 without styles.
@@ -161,16 +159,16 @@ class DetailTarget(nn.Module):
         self,
         sequences: Sequence[PairedSequence],
         level: int,
-        levels: int,
         places: Callable[[Tensor], Tensor],
         window: int | None,
         styles: int,
     ) -> None:
         super().__init__()
+        self.network = sequences[0].network
         powers: list[list[Tensor]] = [[] for _ in range(styles)]
         share = MOST_WINDOWS / sum(sequence.n_frames for sequence in sequences)
         for sequence in sequences:
-            whole = af.level_lengths(sequence.n_frames, levels)[level]
+            whole = sequence.lengths[level]
             motion = resample(sequence.motion[:, :][None], whole)
             size = whole
             if window is not None and window < sequence.n_frames:
@@ -193,7 +191,7 @@ class DetailTarget(nn.Module):
     def _power(self, places: Tensor) -> Tensor:
         """Return the mean square (B, K), m^2, of movement too fast for the next coarser level."""
         n_frames = places.shape[-1]
-        coarser = resample(places, af.level_lengths(n_frames, 2)[0])
+        coarser = resample(places, self.network.lengths(n_frames)[-2])
         return (places - resample(coarser, n_frames)).square().mean(dim=(2, 3))
 
     def _log(self, power: Tensor) -> Tensor:
@@ -228,7 +226,6 @@ class StateTarget(nn.Module):
     Args:
         state: of the recordings.
         level: index of the level.
-        levels: L.
         places: converts normalised motion (B, D, T) to joint positions (B, K, 3, T), metres.
     """
 
@@ -236,14 +233,14 @@ class StateTarget(nn.Module):
     weight: Tensor
 
     def __init__(
-        self, state: TrainingState, level: int, levels: int, places: Callable[[Tensor], Tensor]
+        self, state: TrainingState, level: int, places: Callable[[Tensor], Tensor]
     ) -> None:
         super().__init__()
         self.channels, fps = state.process.channels, state.process.fps
         self.fps = fps
         given, shown = [], []
         for sequence in state.data.sample:
-            n_frames = af.level_lengths(sequence.n_frames, levels)[level]
+            n_frames = sequence.lengths[level]
             if n_frames < _LEAST_FRAMES:
                 continue
             self.fps = fps * n_frames / sequence.n_frames
@@ -307,7 +304,6 @@ def level_targets(
         state: the state of movement; None for a model without it.
         device: on which the networks are trained.
     """
-    levels = config.network.levels
     normaliser = data.normaliser.to(device)
 
     def places(motion: Tensor) -> Tensor:
@@ -317,12 +313,12 @@ def level_targets(
     for i in indices:
         arms, detail, wanted = None, None, None
         if config.uses_arm_speed:
-            arms = arm_target(data.sample, i, levels, normaliser, kinematics)
+            arms = arm_target(data.sample, i, normaliser, kinematics)
         if config.losses.detail and i:  # the first level has no coarser one
             styles = max(1, len(data.conditions.styles))
-            detail = DetailTarget(data.sample, i, levels, places, data.window, styles).to(device)
+            detail = DetailTarget(data.sample, i, places, data.window, styles).to(device)
         if config.losses.state and state is not None:
-            wanted = StateTarget(state, i, levels, places).to(device)
+            wanted = StateTarget(state, i, places).to(device)
         targets.append(LevelTargets(arms, detail, wanted))
     return targets
 
@@ -330,7 +326,6 @@ def level_targets(
 def arm_target(
     sequences: Sequence[PairedSequence],
     index: int,
-    levels: int,
     normaliser: Normaliser,
     kinematics: VectorKinematics,
 ) -> ArmTarget:
@@ -344,7 +339,7 @@ def arm_target(
     device, stride = normaliser.mean.device, 1.0
     speeches, movements = [], []
     for sequence in sequences:
-        n = af.level_lengths(sequence.n_frames, levels)[index]
+        n = sequence.lengths[index]
         if n < 2:
             continue  # a single frame has no speed
         stride = sequence.n_frames / n

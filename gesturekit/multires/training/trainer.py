@@ -121,9 +121,9 @@ class Trainer(BaseTrainer):
         done, state = self.loop.resume()
         if state is not None:
             self.network.load_state_dict(state["generator"])
-        stages, levels = self.stages(), self.config.network.levels
+        stages, network = self.stages(), self.config.network
         # Part of an iteration's cost grows with its number of frames.
-        costs = [20 + 100 * 0.75 ** (levels - 2 - first) for first, _ in stages]
+        costs = [20 + 100 * network.factor ** (first + 2 - network.levels) for first, _ in stages]
         end, reported = 0, None
         with self.loop.progress([(n, cost) for (_, n), cost in zip(stages, costs)], done):
             for (first, iterations), cost in zip(stages, costs, strict=True):
@@ -486,7 +486,7 @@ class Stage:
 
     def _within(self, made: Sequence[Tensor], n_frames: int) -> list[Tensor]:
         """Return the generated levels (B, D, T_i) without margins."""
-        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        lengths = self.config.network.lengths(n_frames)
         kept = []
         for level, i in zip(made, self.indices, strict=True):
             start = (level.shape[-1] - lengths[i]) // 2

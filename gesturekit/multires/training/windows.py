@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import audio_features as af
 from gesturekit.multires.conditions import mixed_styles
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.layers import Convolve, convolve_dense, resample
@@ -193,7 +192,7 @@ class Batches:
         n_frames += 2 * margin
         quiet = torch.rand(count, generator=rng) < config.training.silence
         speech[quiet] = data.silence[:, :n_frames]
-        lengths = af.level_lengths(n_frames, config.network.levels)
+        lengths = config.network.lengths(n_frames)
         noises = self.noise.gaussian(lengths, lambda _: rng, count=count)
         styles = torch.zeros(count, len(lengths), dtype=torch.long)
         if config.styles is not None:
@@ -213,7 +212,7 @@ class Batches:
 
         If there are fewer windows than that, all are returned: a whole sequence has only one.
         """
-        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        lengths = self.config.network.lengths(n_frames)
         starts = [sequence.n_frames - n_frames + 1 for sequence in sequences]
         if sum(starts) > count:
             chosen = list(random_windows(sequences, n_frames, count, rng))
@@ -251,7 +250,7 @@ class Batches:
             rng: random generator.
             styles: number of the style of each motion; None for any.
         """
-        lengths = af.level_lengths(n_frames, self.config.network.levels)
+        lengths = self.config.network.lengths(n_frames)
         if styles is None:
             windows = list(random_windows(sequences, n_frames, count, rng))
         else:
@@ -280,7 +279,7 @@ class Batches:
         (N, C, T) makes it, `motion` (N, D, T) for reconstruction.
         """
         config, to, first = self.config, self.device, self.first
-        lengths = af.level_lengths(speech.shape[-1], config.network.levels)
+        lengths = config.network.lengths(speech.shape[-1])
         given = self.data.conditions
         conditions = [level.to(to) for level in given.of_batch(speech, lengths, styles, state)]
         if state is not None:
