@@ -243,6 +243,7 @@ def test_a_broken_body_is_named_first_and_not_praised(metrics, fact):
     answered = {answer.key: answer for answer in answers_of(clips(), found)}
     assert {answer.state for answer in answered.values()} == {"not asked"}
     assert all(fact in answer.sentence for answer in answered.values())
+    assert ("another speaker" in words) == ("30 %" in words), "it may be that, and says so"
     # Another speaker on this rig, and one who does other things within the same range.
     for beyond, reached in ((30.0, 9.0), (12.0, 0.0)):
         sound = {"joint_limits": (beyond, 2.0), "one_nn": (1.0, 0.7), "jerk_genea": (60.0, 20.0)}

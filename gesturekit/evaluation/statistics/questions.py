@@ -59,7 +59,7 @@ def answers_of(clips: Sequence[ClipResult], metrics: Results) -> list[QuestionAn
         metrics: its results by key of `definitions`.
     """
     if broken := defects(metrics):
-        why = f"Not asked, as the motion is broken: {', '.join(broken)}."
+        why = f"Not asked, as the motion is {broken}."
         return [QuestionAnswer(text, key, NOT_ASKED, why) for key, text in QUESTIONS.items()]
     found = (_timing(clips, metrics), _likeness(metrics), _novelty(clips, metrics))
     return [
@@ -100,8 +100,12 @@ def _no_room(result: MetricResult) -> str:
     return f"the floor, {level_text(floor)}, is not surely below the ceiling, {ceiling}."
 
 
-def defects(metrics: Results) -> list[str]:
-    """Return in words what is broken about a motion, whatever else is measured of it."""
+def defects(metrics: Results) -> str:
+    """Return in words what is broken about a motion, whatever else is measured; "" if nothing.
+
+    Rotations that are not so far beyond the recordings' range, in motion that is nowhere near the
+    recorded one, may be those of another speaker as well.
+    """
 
     def value(key: str) -> float | None:
         result = metrics.get(key)
@@ -110,18 +114,19 @@ def defects(metrics: Results) -> list[str]:
     def own(key: str) -> float:
         return (metrics[key].recording if key in metrics else None) or 0.0
 
-    found = []
+    found, what = [], "broken"
     beyond, apart, covered = value("joint_limits"), value("one_nn"), value("within_reach")
     more = 0.0 if beyond is None else beyond - own("joint_limits")
     alien = apart is not None and apart >= thresholds.SEPARABLE > own("one_nn")
     empty = covered is not None and covered < thresholds.COVERED * own("within_reach")
-    least = thresholds.FAR_BEYOND_LIMITS if alien and empty else thresholds.BEYOND_LIMITS
-    if more > least:
+    if more > (thresholds.FAR_BEYOND_LIMITS if alien and empty else thresholds.BEYOND_LIMITS):
         found.append(f"{beyond:.0f} % of joint rotations are beyond the recordings' range")
+        what = "broken" if more > thresholds.BEYOND_LIMITS else "broken, or another speaker's"
     shaken = _ratio(metrics, "jerk_genea")
     if shaken is not None and shaken > thresholds.SHAKEN:
         found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")
-    return found
+        what = "broken"
+    return f"{what}: {', '.join(found)}" if found else ""
 
 
 def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
@@ -279,7 +284,7 @@ def verdict(metrics: Mapping[str, MetricResult]) -> str:
     if still is not None and still.interval.value >= thresholds.MOTIONLESS:
         return "The hands hardly move."
     if broken := defects(metrics):
-        return f"The motion is broken: {', '.join(broken)}."
+        return f"The motion is {broken}."
     phrases = [
         *_movement_words(metrics),
         *_rest_words(metrics),

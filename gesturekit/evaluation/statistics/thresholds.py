@@ -18,7 +18,7 @@ BEYOND_LIMITS = 45.0
 from which a body is broken. Another speaker, retargeted, has up to 30."""
 FAR_BEYOND_LIMITS, COVERED, SEPARABLE = 20.0, 0.05, 0.98
 """The same where a motion also covers less than this share of the recordings' own "within reach",
-and its 1-NN accuracy is at least this."""
+and its 1-NN accuracy is at least this: broken, or of another speaker."""
 SHAKEN = 5.0
 """Ratio of unfiltered jerk to the recordings' from which a body shakes."""
 
