@@ -54,6 +54,7 @@ NAMES = ("old", "angry", "calm:1")
         ("old:0.25,angry:0.75", (0.25, 0.75, 0)),
         ("old,angry", (0.5, 0.5, 0)),
         ("calm:1", (0, 0, 1)),
+        ("calm:1@0-9", (0, 0, 1)),
     ],
 )
 def test_one_mixture_at_all_times(wanted, weights):

@@ -155,11 +155,11 @@ def spoken_by(speaker: str, stem: str, style: str | None = None) -> Pair:
 
 
 def test_speakers_are_averaged_by_takes_and_named_where_they_differ():
-    groups = [of_group(0.2, "a", 3), of_group(1.0, "b", 1)]
+    groups = [of_group(0.2, "a", 3, reach=0.3), of_group(1.0, "b", 1, reach=1.0)]
     like = likeness_result(groups, {}, 8)
     assert like.interval.value == pytest.approx(0.4) and like.interval.low is None
     state, sentence = states(clips(), likeness=like)["likeness"]
-    assert state == "no" and re.search(r"\ba 0.20.*\bb 1.00", sentence)
+    assert state == "no" and re.search(r"\breach.*\ba 0.20.*\bb 1.00", sentence)
     assert likeness_result([], {}, 8) is None
 
 

@@ -86,7 +86,9 @@ def test_bad_motions_match_their_names(gesture):
     assert made["another utterance"].rotations == pytest.approx(other.rotations)
     assert made["training recording"].rotations == pytest.approx(training.rotations)
     hips = made["foot slide"].translation - recording.translation
-    assert np.abs(hips[:, 0]).max() > 0.1 and not hips[:, 1:].any()
+    assert np.abs(hips[:, 0]).max() > 0.1 and not hips[:, 1:].any() and hips[0, 0] == 0.0
+    before, after = (m.rotations.std(axis=0).max(-1) for m in (recording, made["half reach"]))
+    assert (after / before).min() == pytest.approx(0.5, rel=0.1)
 
 
 def test_recordings_that_cannot_be_used_are_named(tmp_path, gesture):
