@@ -147,24 +147,7 @@ class RaterNotes:
 def read_votes(
     paths: Sequence[str | os.PathLike[str]], *, failed_checks: int | None = 1
 ) -> Answers:
-    """Read pairwise votes from CSV files, or from all CSV files in folders.
-
-    Args:
-        paths: files and folders.
-        failed_checks: exclude raters who failed at least this many attention checks; None
-            excludes nobody. GENEA excludes at 1, the diffusion paper at 2.
-
-    Raises:
-        EvaluationError: a file that is no such CSV, with line and value; no answer left.
-
-    Examples:
-        The left motion was clearly preferred:
-
-        >>> columns = "user,input_code,model_a,model_b,winner,is_strong"
-        >>> _ = (folder / "answers.csv").write_text(f"{columns}\\nu,clip,ours,theirs,model_a,True")
-        >>> read_votes([folder / "answers.csv"]).kept[0].score
-        2
-    """
+    """Read pairwise votes of CSV files and folders; arguments and errors as `read_answers`."""
     found: list[Answer] = []
     raters = RaterNotes()
     seen: dict[tuple[str, ...], Path] = {}
