@@ -45,7 +45,7 @@ RECORDING = "recording"
 
 @dataclass(frozen=True)
 class Source:
-    """What a fooling clip is made from.
+    """Recordings that a fooling clip is made from.
 
     Attributes:
         motion: the held-out clip.

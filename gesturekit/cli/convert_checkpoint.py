@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import existing_option, is_left, output_folder_option
-
-_FILE = click.Path(path_type=Path)
+from gesturekit.cli.options import PATH, existing_option, is_left, output_folder_option
 
 
 @click.command(
@@ -16,15 +14,15 @@ _FILE = click.Path(path_type=Path)
     epilog="Example: gesturekit convert-checkpoint dance_LDA.ckpt --rig kthstreet_gLO_001.bvh "
     "--styles dance_styles.txt --features ch0_spec_beatact_features.txt --out lda",
 )
-@click.argument("checkpoint", type=_FILE)
+@click.argument("checkpoint", type=PATH)
 @click.option(
-    "--rig", type=_FILE, required=True, help="A motion file of the corpus: its joints and bones."
+    "--rig", type=PATH, required=True, help="A motion file of the corpus: its joints and bones."
 )
-@click.option("--styles", type=_FILE, help="Names of the styles in the order of training.")
-@click.option("--features", type=_FILE, help="Names of the features in the order of training.")
+@click.option("--styles", type=PATH, help="Names of the styles in the order of training.")
+@click.option("--features", type=PATH, help="Names of the features in the order of training.")
 @click.option(
     "--columns",
-    type=_FILE,
+    type=PATH,
     help="Names of the columns of motion (pose_features.expmap.txt).  [default: those of dance]",
 )
 @output_folder_option

@@ -21,6 +21,7 @@ from gesturekit.errors import CorpusError, FormatError, GestureKitError
 from gesturekit.formats.sources import load
 from gesturekit.formats.tables import read_table
 from gesturekit.motion import Motion
+from gesturekit.motion.rotations import rotation_angles
 from gesturekit.wording import counted, did_you_mean, listed
 
 
@@ -168,7 +169,7 @@ def _continues(before: Motion, after: Motion) -> bool:
 
     def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Return the mean angle of joints between poses (..., J, 4), radians."""
-        return 2.0 * np.arccos(np.clip(np.abs((a * b).sum(axis=-1)), 0.0, 1.0)).mean(axis=-1)
+        return rotation_angles(a, b).mean(axis=-1)
 
     poses, first = before.rotations, after.rotations[0]
     steps = apart(poses[1:], poses[:-1]) if len(poses) > 1 else np.zeros(1)

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.root_path import RootPath
-from gesturekit.training.clips import InbetweenClips, ease
+from gesturekit.training.clips import InbetweenClips
 
 if TYPE_CHECKING:
     from gesturekit.diffusion.model import DiffusionModel
@@ -81,20 +82,17 @@ class InbetweenConstraint:
         free, rig = self.representation.encode(motion), self.representation
         values = free.copy()
         edges = [0, *(edge for span in self.spans for edge in span), len(values)]
-        reach, kept = max(1, round(SETTLED * self.clips.fps)), np.zeros(len(values), bool)
+        reach = max(1, round(SETTLED * self.clips.fps))
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             after = np.arange(1, end - begin + 1)[:, None]
-            share = ease(np.clip(1 - after / min(reach, len(after) + 1), 0, 1))
+            share = smoothstep(np.clip(1 - after / min(reach, len(after) + 1), 0, 1))
             if begin:
                 values[begin:end] += share * (self.values - free)[begin - 1]
             if end < len(values):
                 values[begin:end] += share[::-1] * (self.values - free)[end]
-        for begin, end in self.spans:
-            kept[begin:end] = True
-            # The step into a clip is part of the motion before it.
-            steps = values[begin, rig.root_columns].copy()
-            values[begin:end] = self.values[begin:end]
-            values[begin, rig.root_columns] = steps
+        given = self._given.cpu().numpy()
+        values = np.where(given, self.values, values)
+        kept = np.asarray(given.any(axis=1))
         values = settled(values, kept, reach, STIFFNESS * (self.clips.fps / 30) ** 6)
         deltas = values[:, rig.root_columns] * [1.0, rig.scale, rig.scale]
         path = RootPath.from_deltas(deltas, self.clips.fps, turn_first=rig.turn_first)
@@ -110,7 +108,7 @@ class InbetweenConstraint:
             wanted = self.representation.path_of(clip)
             share = np.ones(path.n_frames)
             if before is not None:
-                share = ease(((frames - before + 1) / (begin - before + 1)).clip(0, 1))
+                share = smoothstep(((frames - before + 1) / (begin - before + 1)).clip(0, 1))
             turn = wanted.headings[0] - path.headings[begin]
             turn = share * ((turn + np.pi) % (2 * np.pi) - np.pi)
             between = (turn[1:] + turn[:-1]) / 2

@@ -65,7 +65,7 @@ LICENCE = (
     "the weights are those of Listen, Denoise, Action!, for academic use only: no commercial use, "
     "no redistribution"
 )
-"""For the model card."""
+"""Licence of the weights, for the model card."""
 
 _CENTIMETRE = 0.01
 _MOST_NAMES = 1 << 20  # bytes of a list of names
@@ -103,13 +103,13 @@ def convert_checkpoint(
     path = Path(path)
     checkpoint = ReleasedCheckpoint.load(path)
     motion = rig if isinstance(rig, Motion) else Motion.load(rig)
-    moves = _scaler(checkpoint, "out", "columns of motion", columns)
-    hears = _scaler(checkpoint, "in", "features", features)
+    motion_scaler = _scaler(checkpoint, "out", "columns of motion", columns)
+    feature_scaler = _scaler(checkpoint, "in", "features", features)
     _scaler(checkpoint, "style", "styles", styles)
-    assert moves is not None  # there are names of columns
+    assert motion_scaler is not None  # there are names of columns
     vector = ReleasedVector.on(motion, columns)
     fps = _frame_rate(checkpoint)
-    conditions = Conditions(_conditioner(hears, fps), styles=tuple(styles))
+    conditions = Conditions(_conditioner(feature_scaler, fps), styles=tuple(styles))
     try:
         config, noise = network_config(checkpoint), noise_config(checkpoint)
         network = _network(checkpoint, config, vector.order, conditions.width)
@@ -122,7 +122,7 @@ def convert_checkpoint(
         recorded_fps=fps,
         representation=vector.representation,
         conditions=conditions,
-        normaliser=vector.normaliser(moves),
+        normaliser=vector.normaliser(motion_scaler),
         noise_config=noise,
         network=network,
         clip_denoised=False,

@@ -82,7 +82,7 @@ _STAND_INS: dict[str, Any] = {
     **{f"numpy.{core}.multiarray._reconstruct": _new_array for core in ("core", "_core")},
     **{f"numpy.{core}.multiarray.scalar": _scalar for core in ("core", "_core")},
 }
-"""What stands for a name of a pickle."""
+"""Functions and classes that stand for the names in a pickle."""
 
 _KNOWN = {"collections.OrderedDict", "torch._utils._rebuild_tensor_v2", "_codecs.encode"}
 _KNOWN |= {f"torch.{kind}Storage" for kind in ("Float", "Double", "Half", "Long", "Int", "Bool")}

@@ -28,7 +28,7 @@ from gesturekit.evaluation.measuring.alike import (
 )
 from gesturekit.evaluation.measuring.baselines import baseline_pairs
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files
+from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files, read_motion
 from gesturekit.evaluation.measuring.measurer import (
     FRECHET_PART,
     MISMATCHED,
@@ -42,7 +42,6 @@ from gesturekit.evaluation.metrics.frame_rate import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
-    ItemInterval,
     Items,
     Pair,
     Pairs,
@@ -54,7 +53,6 @@ from gesturekit.evaluation.statistics.intervals import interval_over_samples
 from gesturekit.evaluation.statistics.model_metrics import metric_results
 from gesturekit.evaluation.statistics.questions import answer_questions, verdict
 from gesturekit.field_docs import build_options
-from gesturekit.formats.sources import load
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
 
@@ -222,14 +220,7 @@ def _about_takes(pairs: Sequence[Pair], takes: Mapping[str, str]) -> list[str]:
     if takes:
         return merged_speakers((pair.stem, pair.speaker, pair.take) for pair in pairs)
     own = {pair.stem: pair.reference for pair in pairs if pair.take == pair.stem}
-    return pieces_of_takes(
-        {
-            name: source.item.load_motion
-            if isinstance(source, ItemInterval)
-            else partial(load, source, {})
-            for name, source in own.items()
-        }
-    )
+    return pieces_of_takes({name: partial(read_motion, source) for name, source in own.items()})
 
 
 def _pairs(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from gesturekit.motion.rotations import (
     slerp,
 )
 
+Share = TypeVar("Share", float, np.ndarray)
 LOWEST_FPS, HIGHEST_FPS = 1e-5, 1e5
 """Frame rates outside this range are treated as errors in the file."""
 COMMON_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 240)
@@ -132,3 +134,8 @@ class _LowPass:
             away = rotation_vector_from_quaternion(multiply_quaternions(back, source[tap]))
             vector += weight[:, None, None] * away
         return multiply_quaternions(unfiltered, quaternion_from_rotation_vector(vector))
+
+
+def smoothstep(share: Share) -> Share:
+    """Return 3 x^2 - 2 x^3 of shares x in [0, 1]."""
+    return share * share * (3 - 2 * share)

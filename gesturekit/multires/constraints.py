@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.root_path import RootPath, headings, side_axis
 from gesturekit.motion.rotations import quaternion_from_sixd
 from gesturekit.multires.keyframes import moved
@@ -25,7 +26,7 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
-from gesturekit.training.clips import BLEND, InbetweenClips, ease, ground_positions
+from gesturekit.training.clips import BLEND, InbetweenClips, ground_positions
 
 _SWAY = 0.03
 """Largest sway of the hips to either side of a path, metres of the reference body."""
@@ -221,7 +222,7 @@ class InbetweenConstraint:
         the correction is 0 after `reach` frames.
         """
         after = np.arange(1, count + 1)[:, None]
-        share = ease(np.clip(1 - after / reach, 0, 1))
+        share = smoothstep(np.clip(1 - after / reach, 0, 1))
         added = share * (given[-1] - output[-1])
         if len(given) > 1:
             change = (given[-1] - given[-2]) - (output[-1] - output[-2])

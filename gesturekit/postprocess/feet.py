@@ -15,6 +15,7 @@ from gesturekit.motion.contacts import CONTACT_SPEED, FootPoint, foot_points
 from gesturekit.motion.ik import reachable
 from gesturekit.motion.parts import SIDES, require_legs
 from gesturekit.motion.parts.body_size import real_end_sites
+from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.motion.skeleton import Skeleton
 
@@ -339,7 +340,7 @@ def _rolled(height: np.ndarray, lands: bool, leaves: bool, fps: float) -> np.nda
     `height` is (T,); `lands` and `leaves`: the motion shows the beginning and the end of the span.
     """
     above = np.maximum(height - np.median(height), 0)
-    near = 1 - _ease(np.clip(np.arange(len(above)) / (BLEND * fps) - 1, 0, 1))
+    near = 1 - smoothstep(np.clip(np.arange(len(above)) / (BLEND * fps) - 1, 0, 1))
     landing = near * np.minimum.accumulate(above) * lands
     leaving = near[::-1] * np.minimum.accumulate(above[::-1])[::-1] * leaves
     return np.maximum(landing, leaving)
@@ -369,7 +370,7 @@ def _fill_gap(
     if stop - start >= out + into:
         for edge, step, count, span in ((start, 1, out, before), (stop - 1, -1, into, after)):
             outside = edge + step * np.arange(count)
-            share = 1 - _ease((1 + np.arange(count)) / (count + 1))
+            share = 1 - smoothstep((1 + np.arange(count)) / (count + 1))
             from_span = first if step > 0 else last
             offset[outside] = from_span * share[:, None]
             hold[outside] = share
@@ -378,7 +379,7 @@ def _fill_gap(
                 offset[outside, 1] = 0
                 count = min(count, (span[1] - span[0]) // 2)
                 inside = edge - step * (1 + np.arange(count))
-                offset[inside, 1] *= _ease((1 + np.arange(count)) / (count + 1))
+                offset[inside, 1] *= smoothstep((1 + np.arange(count)) / (count + 1))
         return
     if not start or stop == n_frames:
         # No span on one side: keep the correction of the other.
@@ -390,7 +391,7 @@ def _fill_gap(
         start -= min(-(-missing // 2), (before[1] - before[0]) // 2)
         stop += min(-(-missing // 2), (after[1] - after[0]) // 2)
         first, last = offset[start - 1], offset[stop]
-    share = _ease((1 + np.arange(stop - start)) / (stop - start + 1))[:, None]
+    share = smoothstep((1 + np.arange(stop - start)) / (stop - start + 1))[:, None]
     offset[start:stop] = first + share * (last - first)
     hold[start:stop] = 1
 
@@ -398,12 +399,7 @@ def _fill_gap(
 def _frames(change: np.ndarray, fps: float, fastest: float) -> int:
     """Return the frames over which to blend a correction (3,).
 
-    The largest slope of `_ease` is 1.5 times its mean slope.
+    The largest slope of `smoothstep` is 1.5 times its mean slope.
     """
     seconds = max(BLEND, 1.5 * float(np.linalg.norm(change)) / fastest)
     return max(round(seconds * fps), 1)
-
-
-def _ease(share: np.ndarray) -> np.ndarray:
-    """Return the smoothstep 3 x^2 - 2 x^3 of shares in [0, 1]."""
-    return share * share * (3 - 2 * share)

@@ -24,6 +24,7 @@ from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.root_path import heading, headings, side_axis
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -221,7 +222,7 @@ def _begun(motion: Motion, pose: Motion, count: int, may_stay: bool) -> Motion:
         rising = _released(motion.n_frames, begin, count)
         places[:, foot, 1] += 4 * lift * rising * (1 - rising)
         # A foot hardly moves forward before it is lifted.
-        weights[:, foot, 0] = weights[:, foot, 2] = rising * rising * (3 - 2 * rising)
+        weights[:, foot, 0] = weights[:, foot, 2] = smoothstep(rising)
     # A foot turns as it moves over the ground; its tilt goes with its height.
     turn = quaternion_from_rotation_vector(weights[..., [1, 0, 1]] * turned)
     return reach_feet(made, places + weights * apart, multiply_quaternions(turn, turns))
@@ -230,7 +231,7 @@ def _begun(motion: Motion, pose: Motion, count: int, may_stay: bool) -> Motion:
 def _released(n_frames: int, begin: int, count: int) -> np.ndarray:
     """(T,) weights: 1 up to frame `begin`, falling smoothly to 0 within `count` frames."""
     s = np.clip((np.arange(n_frames) - begin) / count, 0, 1)
-    return 1 - s * s * (3 - 2 * s)
+    return 1 - smoothstep(s)
 
 
 def _reversed(motion: Motion) -> Motion:

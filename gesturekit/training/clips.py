@@ -6,19 +6,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from gesturekit.errors import ModelError
 from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.root_path import heading
 from gesturekit.motion.rotations import slerp
 from gesturekit.motion.skeleton import GROUND
 from gesturekit.training.own_rig import on_rig
 
-Share = TypeVar("Share", float, np.ndarray)
 BLEND = 0.4
 """Seconds over which generated motion is blended to the end of a clip."""
 
@@ -87,7 +86,7 @@ class InbetweenClips:
     def given(self, n_frames: int) -> np.ndarray:
         """Return (T,) weights: 1 in the clips, falling to 0 beside them over `BLEND`."""
         weight = np.zeros(n_frames)
-        fall = ease(1 - _fractions(max(1, round(BLEND * self.fps))))
+        fall = smoothstep(1 - _fractions(max(1, round(BLEND * self.fps))))
         for begin, clip in self.clips:
             stop = begin + clip.n_frames
             weight[begin:stop] = 1
@@ -124,11 +123,11 @@ class InbetweenClips:
                     if not self._is_free(frame, motion.n_frames):
                         break
                     if faces is not None:
-                        faces[frame] += ease(1 - fraction) * (faces[edge] - faces[frame])
+                        faces[frame] += smoothstep(1 - fraction) * (faces[edge] - faces[frame])
                     rotations[frame, others] = slerp(
                         rotations[frame, others],
                         rotations[edge, others],
-                        np.full(len(others), ease(1 - fraction)),
+                        np.full(len(others), smoothstep(1 - fraction)),
                     )
         return replace(
             motion,
@@ -152,11 +151,6 @@ def ground_positions(rig: ModelJoints, motion: Motion) -> np.ndarray:
 def _fractions(count: int) -> np.ndarray:
     """Return 1/count ... (count - 1)/count."""
     return np.arange(1, count) / count
-
-
-def ease(share: Share) -> Share:
-    """Return the smoothstep 3 s^2 - 2 s^3."""
-    return share * share * (3 - 2 * share)
 
 
 def mixed_motions(locked: Motion, motion: Motion, given: np.ndarray) -> Motion:

@@ -73,7 +73,7 @@ def test_cca_refuses_other_lengths_and_motion_that_does_not_move():
 
 
 def test_rmse_of_a_pose_by_hand():
-    """Of two joints one is 5 cm too high in one of two frames: sqrt(0.05² / 4) = 0.025 m."""
+    """One of two joints is 5 cm too high in one of two frames: sqrt(0.05² / 4) = 0.025 m."""
     offsets = [[0, 0, 0], [0, 0.5, 0], [0.3, 0, 0.4]]
     rig = Skeleton(("hips", "head", "hand"), (-1, 0, 0), offsets)
     still = np.tile([0.0, 0, 0, 1], (2, 3, 1))

@@ -34,7 +34,7 @@ def lines(quick_corpus, tmp_path):
 
 
 def test_levels_of_a_stage(lines):
-    """Of four levels the first stage trains three, for 6 iterations, and the second one, for 4."""
+    """The first stage trains three of four levels, for 6 iterations, the second one, for 4."""
     trained = [line["level"] for line in lines(training={"stage_levels": 3})]
     assert trained == [1] * 6 + [4] * 4
 

@@ -123,7 +123,7 @@ def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = fr
             frame), or rigs that do not match.
         FeatureError: the semantic track cannot be read.
     """
-    generated = _read(pair.generated)
+    generated = read_motion(pair.generated)
     rate = fps or generated.fps
     recording = load_recording(pair.reference, rate)
     notes = []
@@ -304,7 +304,7 @@ def _later(track: FeatureTrack, start: float) -> FeatureTrack:
 
 
 def _resampled(path: Path | ItemInterval, fps: float) -> Motion:
-    motion = _read(path)
+    motion = read_motion(path)
     if motion.n_frames < 2:
         raise FormatError(f"{path.name}: one frame; a motion to be measured has at least 2")
     return at_rate(motion, fps)
@@ -313,7 +313,8 @@ def _resampled(path: Path | ItemInterval, fps: float) -> Motion:
 _motions = ByteCache[Motion](_CACHED_BYTES, lambda motion: motion.rotations.nbytes)
 
 
-def _read(path: Path | ItemInterval) -> Motion:
+def read_motion(path: Path | ItemInterval) -> Motion:
+    """Read a motion at its own frame rate; its errors name the file."""
     if isinstance(path, ItemInterval):
         return path.item.load_motion()
     try:

@@ -72,11 +72,11 @@ class SetPart:
 
 
 Target = ClipIndex | SetPart
-"""What is measured, stored and read as one."""
+"""Unit that is measured, stored and read as one."""
 Portion = tuple[Target, ...]
 """Portion that one process measures: clips of a recording, or sets one after the other."""
 Measurement = ClipResult | Excluded | SetMeasurement
-"""What is measured of a target; a clip that cannot be read is `Excluded`."""
+"""Result of measuring a target; a clip that cannot be read is `Excluded`."""
 
 
 @dataclass

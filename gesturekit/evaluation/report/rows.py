@@ -146,7 +146,7 @@ def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
             return ""
         return (
             f"the clips come from {takes.in_words}: no intervals, and nothing is bold. "
-            "Differences between takes (recording sessions) cannot be told from fewer than "
+            "Differences between takes (recording sessions) cannot be estimated from fewer than "
             f"{takes.needed}; more clips or samples (seeds) of the same takes do not change that. "
             f"Hold out {takes.needed} or more takes"
         )

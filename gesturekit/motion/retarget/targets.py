@@ -17,6 +17,7 @@ from gesturekit.motion.ik import Reach, bend_limbs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
 from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.retarget.body_frames import BodyFrames
 from gesturekit.motion.retarget.standing_pose import FORWARD
 from gesturekit.motion.rotations import (
@@ -309,7 +310,7 @@ def place_hands(
         lateral = rotate_vectors(invert_quaternions(torso), away)[:, 0]
         half = np.linalg.norm(source_arms[side][:, 0] - middle, axis=1)
         share = np.clip((outward * lateral / half - _INSIDE) / (_OUTSIDE - _INSIDE), 0, 1)
-        weight = 1 - share * share * (3 - 2 * share)
+        weight = 1 - smoothstep(share)
         by_position = _between_shoulders(arms) + scale * away
         by_direction = arms[side][:, 2]
         bones = [target.joints[f"{side}_{part}"] for part in ("shoulder", "elbow")]

@@ -2,9 +2,9 @@
 // at a time; a slider becomes active when its clip was played to its end.
 
 import { ParameterType } from "jspsych";
-import { Clips, fail, layOut, make, nextButton } from "./trial.js";
+import { ClipTrial, Clips, layOut, make, nextButton } from "./trial.js";
 
-class Sliders {
+class Sliders extends ClipTrial {
   static info = {
     name: "gesturekit-sliders",
     version: "1",
@@ -23,15 +23,6 @@ class Sliders {
       plays: { type: ParameterType.INT, array: true },
     },
   };
-
-  constructor(jsPsych) {
-    this.jsPsych = jsPsych;
-  }
-
-  // No async function: jsPsych would end the trial when its promise resolves.
-  trial(display, trial) {
-    this.show(display, trial).catch(fail);
-  }
 
   async show(display, trial) {
     const values = trial.sides.map(() => null);

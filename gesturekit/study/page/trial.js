@@ -78,6 +78,18 @@ export class Clips {
   }
 }
 
+// A jsPsych plugin; a subclass has an async function `show(display, trial)`.
+export class ClipTrial {
+  constructor(jsPsych) {
+    this.jsPsych = jsPsych;
+  }
+
+  // No async function: jsPsych would end the trial when its promise resolves.
+  trial(display, trial) {
+    this.show(display, trial).catch(fail);
+  }
+}
+
 // The page of a trial: progress, question, the given parts, a hint and the button to go on.
 export function layOut(display, trial, hint, go, ...parts) {
   display.replaceChildren(

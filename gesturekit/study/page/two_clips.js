@@ -2,9 +2,9 @@
 // both clips were played to their end.
 
 import { ParameterType } from "jspsych";
-import { Clips, fail, layOut, make, nextButton } from "./trial.js";
+import { ClipTrial, Clips, layOut, make, nextButton } from "./trial.js";
 
-class TwoClips {
+class TwoClips extends ClipTrial {
   static info = {
     name: "gesturekit-two-clips",
     version: "1",
@@ -26,15 +26,6 @@ class TwoClips {
       plays: { type: ParameterType.INT, array: true },
     },
   };
-
-  constructor(jsPsych) {
-    this.jsPsych = jsPsych;
-  }
-
-  // No async function: jsPsych would end the trial when its promise resolves.
-  trial(display, trial) {
-    this.show(display, trial).catch(fail);
-  }
 
   async show(display, trial) {
     let answer = null;
