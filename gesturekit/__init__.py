@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from gesturekit.evaluation import evaluate
     from gesturekit.model import Model
     from gesturekit.motion.concatenation import concatenate
+    from gesturekit.motion.face import FaceTrack
     from gesturekit.motion.motion import Motion
     from gesturekit.motion.skeleton import Skeleton
     from gesturekit.rendering.batch import render
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
+    "FaceTrack",
     "GestureKitError",
     "Model",
     "Motion",
@@ -43,6 +45,7 @@ __all__ = [
 __getattr__ = lazy.attach(
     __name__,
     {
+        "FaceTrack": "motion.face",
         "GestureKitError": "errors",
         "Model": "model",
         "Motion": "motion.motion",

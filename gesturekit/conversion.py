@@ -432,7 +432,7 @@ def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
 def _warn_of_losses(motion: Motion, target: Path) -> None:
     """Warn of data of a motion that the format of a target cannot hold."""
     name = _WITHOUT_FACES.get(target.suffix.lower())
-    lost = ["face expressions"] if motion.expressions is not None else []
+    lost = ["face expressions"] if motion.face is not None else []
     lost += ["body shape (betas)"] if motion.skeleton.body_shape.betas else []
     if name and lost:
         warnings.warn(f"{target}: {name} holds no {' and no '.join(lost)}; npz does", stacklevel=2)

@@ -56,7 +56,7 @@ def chosen_frames(motion: Motion, frames: np.ndarray) -> Motion:
         rotations=motion.rotations[frames],
         translation=motion.translation[frames],
         joint_translations={name: v[frames] for name, v in motion.joint_translations.items()},
-        expressions=None,
+        face=None,
     )
 
 

@@ -22,6 +22,7 @@ from audio_features.archive import Archive
 from gesturekit.errors import FormatError
 from gesturekit.formats.conventions import UP_TO_Y
 from gesturekit.formats.smpl import N_JOINTS, model_pelvis, smpl_skeleton
+from gesturekit.motion.face import MAX_CHANNELS, is_smplx, smplx_face
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -41,7 +42,6 @@ _FINGERS = {24: 72, 52: 66, 55: 75}
 _OF_HANDS = re.compile("(left|right)_?hand", re.IGNORECASE)
 _N_BETAS = {24: 10, 52: 16, 55: 300}
 _N_EXPRESSIONS = 100
-_MAX_EXPRESSIONS = 1000
 
 
 def from_amass(archive: Archive, up: str) -> Motion:
@@ -102,7 +102,9 @@ def to_amass(motion: Motion, up: str) -> dict[str, Any]:
         "mocap_framerate": rate,
     }
     if n_joints == 55:
-        face = np.empty((n_frames, 0)) if motion.expressions is None else motion.expressions
+        face = (
+            motion.face.values if motion.face and is_smplx(motion.face) else np.empty((n_frames, 0))
+        )
         lacking = max(0, _N_EXPRESSIONS - face.shape[1])
         values["expressions"] = np.pad(face, ((0, 0), (0, lacking)))
         values["model"] = shape.version or "smplx2020"
@@ -154,14 +156,22 @@ def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> B
 
 def with_expressions(motion: Motion, archive: Archive) -> Motion:
     """Return the motion with the file's expressions, unless it has none or they are all zero."""
-    if "expressions" not in archive:
-        return motion
-    values = archive.numbers("expressions")
-    if values.ndim != 2 or len(values) != motion.n_frames or values.shape[1] > _MAX_EXPRESSIONS:
-        text = f"shape {values.shape} for {motion.n_frames} frames; they are left out"
-        warnings.warn(f"{archive.path}: expressions have {text}", stacklevel=2)
-        return motion
-    return replace(motion, expressions=values) if values.any() else motion
+    values = read_face(archive, "expressions", motion.n_frames)
+    return (
+        motion if values is None or not values.any() else replace(motion, face=smplx_face(values))
+    )
+
+
+def read_face(archive: Archive, key: str, n_frames: int) -> np.ndarray | None:
+    """Return face values (T, E) under a key; None without, or with a warning for another shape."""
+    if key not in archive:
+        return None
+    values = archive.numbers(key)
+    if values.ndim != 2 or len(values) != n_frames or values.shape[1] > MAX_CHANNELS:
+        text = f"shape {values.shape} for {n_frames} frames; they are left out"
+        warnings.warn(f"{archive.path}: {key} have {text}", stacklevel=2)
+        return None
+    return values
 
 
 def read_number(archive: Archive, key: str) -> float:

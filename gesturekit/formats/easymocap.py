@@ -24,6 +24,7 @@ from gesturekit.formats.conventions import check_up
 from gesturekit.formats.registry import json_in_words
 from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.face import smplx_face
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     multiply_quaternions,
@@ -233,7 +234,7 @@ def _to_motion(
         translation=between(places),
         fps=fps,
         info=info,
-        expressions=between(face) if face.any() else None,
+        face=smplx_face(between(face)) if face.any() else None,
     )
 
 

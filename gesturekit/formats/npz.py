@@ -2,7 +2,8 @@
 
 Native keys (format 1): `gk_version, names, parents, offsets, rotation_orders, end_site_joints,
 end_site_offsets, rotations, translation, moving_joints, joint_translations, fps`, and if known
-`parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model, expressions`. Files of
+`parts_by_hand, part_joints, body_betas, body_pelvis, body_up, gender, model`. Faces of SMPL-X are
+`expressions`, others `face_names` and `face_values`; `face` is "rules" if rules made them. Files of
 SMPL rigs also have the keys of `amass`.
 
 Compatibility: the defaults suit the SMPL-X add-on of Blender (format SMPL-X), PantoMatrix and the
@@ -21,6 +22,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,7 @@ from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import (
     from_amass,
     from_seamless,
+    read_face,
     read_number,
     read_shape,
     to_amass,
@@ -40,6 +43,7 @@ from gesturekit.formats.amass import (
 from gesturekit.formats.conventions import UP_TO_Y, check_up
 from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model import BodyModel
+from gesturekit.motion.face import MAX_CHANNELS, FaceTrack, is_smplx
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 
@@ -174,8 +178,13 @@ def _native(motion: Motion) -> dict[str, Any]:
     if shape.pelvis is not None:
         values["body_pelvis"] = np.array(shape.pelvis)
         values["body_up"] = motion.info.get("up", "y")  # up axis of the source file
-    if motion.expressions is not None:
-        values["expressions"] = motion.expressions
+    if (face := motion.face) is not None:
+        if is_smplx(face):
+            values["expressions"] = face.values
+        else:
+            values |= {"face_names": np.array(face.names), "face_values": face.values}
+        if face.origin != "recorded":
+            values["face"] = face.origin
     return values
 
 
@@ -227,7 +236,19 @@ def _from_native(archive: Archive) -> Motion:
     if pelvis is not None:
         (up,) = archive.texts("body_up") or ["y"]
         motion.info["up"] = up if up in UP_TO_Y else "y"
-    return with_expressions(motion, archive)
+    return _with_face(motion, archive)
+
+
+def _with_face(motion: Motion, archive: Archive) -> Motion:
+    """Return the motion with the file's face."""
+    values = read_face(archive, "face_values", motion.n_frames)
+    if values is not None:
+        names = archive.texts("face_names", MAX_CHANNELS)
+        motion = replace(motion, face=FaceTrack(tuple(names), values))
+    motion = with_expressions(motion, archive)
+    if motion.face is None or "face" not in archive:
+        return motion
+    return replace(motion, face=replace(motion.face, origin=archive.texts("face")[0]))
 
 
 def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:

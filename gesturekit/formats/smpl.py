@@ -137,8 +137,6 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
         if name in old.names:
             rotations[:, j] = motion.rotations[:, old.index(name)]
     shape = old.body_shape
-    # Only SMPL-X has expressions; other rigs keep them for a conversion back.
-    expressions = None if old.n_joints == 55 else motion.expressions
     if (old.n_joints == 55) != (n_joints == 55):
         if shape.betas:
             text = "betas of SMPL and SMPL-H mean nothing in SMPL-X, nor its betas in theirs"
@@ -146,7 +144,7 @@ def as_smpl(motion: Motion, n_joints: int) -> Motion:
         shape = BodyShape(gender=shape.gender)
     rig = replace(rig, body_shape=shape)
     info = dict(motion.info)
-    return replace(motion, skeleton=rig, rotations=rotations, info=info, expressions=expressions)
+    return replace(motion, skeleton=rig, rotations=rotations, info=info)
 
 
 def fit_body(motion: Motion, body_model: BodyModel | str | os.PathLike[str]) -> Motion:

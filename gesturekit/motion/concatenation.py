@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.face import joined_faces
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import body_scale
@@ -67,8 +68,6 @@ def stacked(pieces: Sequence[Motion]) -> Motion:
     """Return the frames of motions of one rig and frame rate, at least one, as they are."""
     first = pieces[0]
     moving = {name for piece in pieces for name in piece.joint_translations}
-    faces = [piece.expressions for piece in pieces if piece.expressions is not None]
-    alike = len(faces) == len(pieces) and len({face.shape[1] for face in faces}) == 1
     return replace(
         first,
         rotations=np.concatenate([piece.rotations for piece in pieces]),
@@ -77,7 +76,7 @@ def stacked(pieces: Sequence[Motion]) -> Motion:
             name: np.concatenate([piece.local_positions(name) for piece in pieces])
             for name in moving
         },
-        expressions=np.concatenate(faces) if alike else None,
+        face=joined_faces([piece.face for piece in pieces]),
         info=dict(first.info),
     )
 

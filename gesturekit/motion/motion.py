@@ -15,6 +15,7 @@ import numpy as np
 
 from gesturekit import lazy
 from gesturekit.errors import FormatError, MotionError, gesturekit_errors
+from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rig_changes import keep_joints, mirror
@@ -41,8 +42,7 @@ class Motion:
         joint_translations: joint name to (T, 3) positions in the parent's frame, metres. They
             replace that joint's offset, for files that move joints other than the root.
         info: metadata on the origin (source file, detected unit, ...).
-        expressions: (T, E) SMPL-X face coefficients, or None. They are kept and resampled, but not
-            used otherwise.
+        face: channels of the face for each frame, or None.
 
     Raises:
         MotionError: shapes that do not match, values that are not finite, or no frames.
@@ -63,7 +63,7 @@ class Motion:
     fps: float
     joint_translations: Mapping[str, np.ndarray] = field(default_factory=dict)
     info: dict[str, Any] = field(default_factory=dict)
-    expressions: np.ndarray | None = None
+    face: FaceTrack | None = None
 
     def __post_init__(self) -> None:
         rotations = np.asarray(self.rotations, dtype=np.float64)
@@ -91,8 +91,11 @@ class Motion:
         fields: dict[str, Any] = {"rotations": rotations, "joint_translations": moving}
         fields["fps"] = checked_fps(self.fps)
         fields["translation"] = checked("translation", self.translation, (n_frames, 3), "frame")
-        if (face := self.expressions) is not None:
-            fields["expressions"] = checked("expressions", face, (n_frames, None), "frame")
+        if (face := self.face) is not None:
+            if not isinstance(face, FaceTrack):
+                raise MotionError(f"face is {type(face).__name__}; expected a FaceTrack")
+            if len(face) != n_frames:
+                raise MotionError(f"the face has {len(face)} frames, the motion {n_frames}")
         for key, value in fields.items():
             object.__setattr__(self, key, value)
 
@@ -219,14 +222,13 @@ class Motion:
         self, change: Callable[[np.ndarray], np.ndarray], rotations: np.ndarray, fps: float
     ) -> Motion:
         """Return the motion of other frames; `change` makes values (T', D) of values (T, D)."""
-        face = self.expressions
         return replace(
             self,
             rotations=rotations,
             translation=change(self.translation),
             fps=fps,
             joint_translations={k: change(v) for k, v in self.joint_translations.items()},
-            expressions=None if face is None else change(face),
+            face=None if self.face is None else self.face.changed(change),
             info=dict(self.info),
         )
 
@@ -235,13 +237,14 @@ class Motion:
 
         The skeleton is mirrored too (a longer left arm becomes a longer right arm), so that joint
         positions are exact mirror images. Counterparts come from
-        `gesturekit.motion.parts.left_right_pairs`; a joint without one is its own. Expressions are
-        kept, because their coefficients have no known sides.
+        `gesturekit.motion.parts.left_right_pairs`; a joint without one is its own; for the
+        face see `FaceTrack.mirror`.
 
         Raises:
             MotionError: a rig with limbs whose left and right cannot be identified.
         """
-        return self._on_rig(mirror)
+        made = self._on_rig(mirror)
+        return made if self.face is None else replace(made, face=self.face.mirror())
 
     def keep(self, joints: Sequence[str] | str) -> Motion:
         """Return the motion without all other joints; kept ones stay where they are in the world.

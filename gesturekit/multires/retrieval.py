@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import quaternion_from_sixd, sixd_from_quaternion
 from gesturekit.multires.motion_vector import MultiresRepresentation
@@ -37,16 +38,16 @@ class PassiveChannels:
 
     Attributes:
         joints: names of the F joints.
-        expressions: number E of SMPL-X face coefficients.
+        face: names of the E channels of the face.
     """
 
     joints: tuple[str, ...] = ()
-    expressions: int = 0
+    face: tuple[str, ...] = ()
 
     @property
     def is_empty(self) -> bool:
         """True without such joints and without a face."""
-        return not self.joints and not self.expressions
+        return not self.joints and not self.face
 
     @classmethod
     def find(cls, motions: Sequence[Motion], modelled: Sequence[str]) -> PassiveChannels:
@@ -57,16 +58,15 @@ class PassiveChannels:
                 sixd = [sixd_from_quaternion(motion.rotations[:, j]) for motion in motions]
                 if np.concatenate(sixd).std(axis=0).max() > _STILL:
                     moving.append(name)
-        faces = [motion.expressions for motion in motions]
-        widths = {0 if face is None else face.shape[1] for face in faces}
-        return cls(tuple(moving), widths.pop() if len(widths) == 1 else 0)
+        channels = {() if motion.face is None else motion.face.names for motion in motions}
+        return cls(tuple(moving), channels.pop() if len(channels) == 1 else ())
 
     def encode(self, motion: Motion) -> Tensor:
-        """Return (6 F + E, T) float32 rotations and face coefficients."""
+        """Return (6 F + E, T) float32 rotations and face channels."""
         index = [motion.skeleton.index(name) for name in self.joints]
         rows = sixd_from_quaternion(motion.rotations[:, index]).reshape(motion.n_frames, -1)
-        if self.expressions:
-            rows = np.concatenate([rows, motion.expressions], axis=1)
+        if self.face and motion.face is not None:
+            rows = np.concatenate([rows, motion.face.values], axis=1)
         return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
 
     def applied(self, motion: Motion, values: Callable[[slice], Tensor]) -> Motion:
@@ -78,7 +78,7 @@ class PassiveChannels:
         """
         rotations = motion.rotations.copy()
         index = [motion.skeleton.index(name) for name in self.joints]
-        face = np.empty((motion.n_frames, self.expressions))
+        face = np.empty((motion.n_frames, len(self.face)))
         for start in range(0, motion.n_frames, _FRAMES_AT_ONCE):
             frames = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
             rows = values(frames).T.double().numpy()
@@ -86,8 +86,8 @@ class PassiveChannels:
                 sixd = rows[:, : 6 * len(index)].reshape(len(rows), len(index), 6)
                 rotations[frames, index] = quaternion_from_sixd(sixd)
             face[frames] = rows[:, 6 * len(index) :]
-        expressions = face if self.expressions else motion.expressions
-        return replace(motion, rotations=rotations, expressions=expressions)
+        track = FaceTrack(self.face, face) if self.face else motion.face
+        return replace(motion, rotations=rotations, face=track)
 
 
 _POINTS = 8
@@ -395,15 +395,15 @@ def library_values(library: RecordedLibrary) -> dict[str, Any]:
     """Return the plain values of a library."""
     return {
         "recordings": [[each.speaker, each.style] for each in library.recordings],
-        "passive": {"joints": list(library.passive.joints), "face": library.passive.expressions},
+        "passive": {"joints": list(library.passive.joints), "face": list(library.passive.face)},
     }
 
 
 def library_row(library: RecordedLibrary) -> str:
-    """Return "30 joints and 50 face coefficients from 4 min of recordings, 1.2 MB of ..."."""
+    """Return "30 joints and 50 face channels from 4 min of recordings, 1.2 MB of ..."."""
     passive = library.passive
     what = [counted(len(passive.joints), "joint")] if passive.joints else []
-    what += [counted(passive.expressions, "face coefficient")] if passive.expressions else []
+    what += [counted(len(passive.face), "face channel")] if passive.face else []
     size = sum(tensor.numel() for tensor in library_tensors(library).values()) * 4 / 1e6
     seconds = len(library.played) / library.fps
     played = "the whole body" if library.is_whole else " and ".join(what)
@@ -433,7 +433,7 @@ def load_library(
     if values is None:
         return None
     passive = PassiveChannels(
-        tuple(map(str, values["passive"]["joints"])), int(values["passive"]["face"])
+        tuple(map(str, values["passive"]["joints"])), tuple(map(str, values["passive"]["face"]))
     )
     for name in passive.joints:
         representation.skeleton.index(name)
@@ -449,7 +449,7 @@ def load_library(
     sizes = {
         "state": n_channels + 1,
         "motion": representation.n_features if library.is_whole else 0,
-        "passive": 6 * len(passive.joints) + passive.expressions,
+        "passive": 6 * len(passive.joints) + len(passive.face),
     }
     for i, recording in enumerate(recordings):
         n_frames = recording.state.shape[-1]

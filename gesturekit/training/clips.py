@@ -103,17 +103,17 @@ class InbetweenClips:
         """
         rotations, translation = motion.rotations.copy(), motion.translation.copy()
         moving = {name: values.copy() for name, values in motion.joint_translations.items()}
-        face = None if motion.expressions is None else motion.expressions.copy()
+        track = motion.face and replace(motion.face, values=motion.face.values.copy())
         skeleton = motion.skeleton
         modelled = {*self.rig.indices, *skeleton.ancestors(self.rig.root)}
         others = [j for j in range(skeleton.n_joints) if j not in modelled]
         for begin, clip in self.clips:
             stop = begin + clip.n_frames
             rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
-            shown, faces = clip.expressions, None
-            if face is not None and shown is not None and face.shape[1] == shown.shape[1]:
-                faces = face
-                faces[begin:stop] = shown
+            faces = None
+            if track and clip.face and clip.face.names == track.names:
+                faces = track.values
+                faces[begin:stop] = clip.face.values
             for name, values in moving.items():
                 still = clip.skeleton.offsets[skeleton.index(name)]
                 values[begin:stop] = clip.joint_translations.get(name, still)
@@ -134,7 +134,7 @@ class InbetweenClips:
             rotations=rotations,
             translation=translation,
             joint_translations=moving,
-            expressions=face,
+            face=track,
         )
 
     def _is_free(self, frame: int, n_frames: int) -> bool:

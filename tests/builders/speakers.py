@@ -10,6 +10,7 @@ import audio_features as af
 from gesturekit.corpus import Item, Manifest
 from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion
+from gesturekit.motion.face import smplx_face
 from gesturekit.motion.rotations import quaternion_from_rotation_vector
 
 RATE = 16_000
@@ -45,12 +46,12 @@ def recording(seconds: float, seed: int, mark: float = 0.0) -> Motion:
     face = np.zeros((n, 100))
     face[:, 3], face[:, 4], face[:, 5] = np.sin(turn), np.cos(turn), mark
     rotations = quaternion_from_rotation_vector(turns)
-    return Motion(skeleton, rotations, np.tile([0, 0.93, 0], (n, 1)), FPS, expressions=face)
+    return Motion(skeleton, rotations, np.tile([0, 0.93, 0], (n, 1)), FPS, face=smplx_face(face))
 
 
 def assert_played(motion: Motion, frames: slice = slice(None)) -> None:
     """Fingers and the face move, and together, as in recordings and in cross-fades of them."""
-    face = motion.expressions[frames, :5]
+    face = motion.face.values[frames, :5]
     assert np.ptp(face[:, 3]) > 0.5
     for finger in FINGERS:
         _, _, z, w = motion.rotations[frames, motion.skeleton.index(finger)].T

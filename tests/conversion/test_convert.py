@@ -22,6 +22,7 @@ from gesturekit.jobs.batch import Execution
 from gesturekit.jobs.records import STATE
 from gesturekit.jobs.result import Result
 from gesturekit.motion import Motion
+from gesturekit.motion.face import smplx_face
 from gesturekit.motion.skeleton import BodyShape
 
 
@@ -274,7 +275,7 @@ def test_bones_below_a_removed_joint_are_reported(take, tmp_path):
 
 
 def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
-    motion = smpl_motion(25.0, expressions=np.ones((30, 100)))
+    motion = smpl_motion(25.0, face=smplx_face(np.ones((30, 100))))
     rig = replace(motion.skeleton, body_shape=BodyShape((1.0,) * 10))
     motion = replace(motion, skeleton=rig)
     with pytest.warns(UserWarning, match="25 fps"):

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 import gesturekit as gk
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.face import smplx_face
 
 
 @pytest.fixture
@@ -61,11 +62,11 @@ def test_the_difference_decays_alike_in_all_that_moves():
 
 def test_short_motions_other_rates_and_faces(moving_person, other):
     face = np.ones((60, 10))
-    parts = [replace(moving_person, expressions=face), other[:1], other.resample(60.0)]
+    parts = [replace(moving_person, face=smplx_face(face)), other[:1], other.resample(60.0)]
     made = gk.concatenate(parts)
-    assert made.n_frames == 60 + 1 + 60 and made.fps == 30.0 and made.expressions is None
+    assert made.n_frames == 60 + 1 + 60 and made.fps == 30.0 and made.face is None
     assert np.isfinite(made.positions()).all()
-    assert gk.concatenate(parts[:1] * 2).expressions.shape == (120, 10)
+    assert gk.concatenate(parts[:1] * 2).face.values.shape == (120, 10)
     assert gk.concatenate([other[:1], other[:1]]).n_frames == 2
 
 

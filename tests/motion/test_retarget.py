@@ -11,6 +11,7 @@ from gesturekit.errors import MotionError
 from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.contacts import contact_labels, foot_positions
+from gesturekit.motion.face import smplx_face
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import Transfer, retarget
 from gesturekit.motion.retarget.standing_pose import standing_pose
@@ -83,12 +84,11 @@ def test_parts_of_a_stream_go_on_from_one_another(moving_person, mixamo):
     np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-3)
 
 
-def test_faces_are_kept_on_the_same_rig_alone(moving_person, mixamo):
+def test_faces_are_kept_on_any_rig(moving_person, mixamo):
     faces = np.random.default_rng(0).normal(size=(moving_person.n_frames, 3))
-    smiling = replace(moving_person, expressions=faces)
-    same = retarget(smiling, moving_person.skeleton.scaled(1.2))
-    np.testing.assert_array_equal(same.expressions, faces)
-    assert retarget(smiling, mixamo).expressions is None
+    smiling = replace(moving_person, face=smplx_face(faces))
+    for rig in (moving_person.skeleton.scaled(1.2), mixamo):
+        np.testing.assert_array_equal(retarget(smiling, rig).face.values, faces)
 
 
 def test_joints_that_move_scale_with_the_body(moving_person):

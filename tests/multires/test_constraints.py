@@ -13,6 +13,7 @@ from rigs import at_rest, below_a_root, turned_at_root
 from audio_features import level_lengths
 from gesturekit import Motion
 from gesturekit.errors import ModelError
+from gesturekit.motion.face import smplx_face
 from gesturekit.motion.root_path import RootPath, heading
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
 from gesturekit.multires import MultiresRepresentation, Normaliser, resample
@@ -295,7 +296,7 @@ def hand_at(motion: Motion, angle: float) -> Motion:
 
 
 def with_face(motion: Motion, level: float) -> Motion:
-    return replace(motion, expressions=np.full((motion.n_frames, 10), level))
+    return replace(motion, face=smplx_face(np.full((motion.n_frames, 10), level)))
 
 
 def test_clips_are_given_back_with_what_is_not_modelled_blended_to_them(representation):
@@ -320,8 +321,8 @@ def test_clips_are_given_back_with_what_is_not_modelled_blended_to_them(represen
     np.testing.assert_allclose(share[np.r_[:3, 52:60]], 0, atol=1e-6)
     assert (np.diff(share[8:16]) > 0).all() and (np.diff(share[39:47]) < 0).all()
     assert (share[25:30] > 0.5).all(), "between the clips"
-    np.testing.assert_allclose(made.expressions[:, 4], 1 + 2 * share, atol=1e-6)
-    assert (motion.expressions == 1).all(), "the motion itself does not change"
+    np.testing.assert_allclose(made.face.values[:, 4], 1 + 2 * share, atol=1e-6)
+    assert (motion.face.values == 1).all(), "the motion itself does not change"
 
 
 def constrained(representation, normaliser, clips, n_frames: int, margin: int = 0, level: int = 2):

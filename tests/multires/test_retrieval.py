@@ -14,6 +14,7 @@ from speakers import RATE, SETTINGS, assert_played, recording, voice
 
 import gesturekit as gk
 from gesturekit.errors import ConfigError, ModelError
+from gesturekit.motion.face import smplx_face, smplx_names
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 from gesturekit.multires import load_training_data, train
@@ -144,17 +145,17 @@ def speech():
 
 def test_fingers_and_the_face_are_those_of_recordings(state_model, speech):
     made = state_model.generate(speech, seed=1)
-    assert made.n_frames == 150 and made.expressions.shape == (150, 100)
+    assert made.n_frames == 150 and made.face.values.shape == (150, 100)
     assert_played(made)
-    assert (made.expressions[:, 6:] == 0).all()
+    assert (made.face.values[:, 6:] == 0).all()
     assert_played(state_model.generate(speech, seed=1, fps=60.0))
     for speaker, mark in (("Ann", 1.0), ("Bo", -1.0)):
         own = state_model.generate(speech, seed=1, speaker=speaker)
-        np.testing.assert_allclose(own.expressions[:, 5], mark, atol=1e-6)
+        np.testing.assert_allclose(own.face.values[:, 5], mark, atol=1e-6)
     for other in (state_model.generate(speech, seed=2), *state_model.generate(speech, samples=2)):
-        assert np.abs(other.expressions - made.expressions).max() > 0.1
+        assert np.abs(other.face.values - made.face.values).max() > 0.1
     for seconds in (0.04, 3.0):
-        assert len(state_model.generate(seconds=seconds).expressions) == round(30 * seconds)
+        assert len(state_model.generate(seconds=seconds).face.values) == round(30 * seconds)
 
 
 def test_saved_and_loaded_it_gives_the_same_motion(state_model, state_folder, speech, tmp_path):
@@ -162,8 +163,9 @@ def test_saved_and_loaded_it_gives_the_same_motion(state_model, state_folder, sp
     state_model.save(tmp_path / "copy")
     assert same_weights(tmp_path / "copy", state_folder)
     again = gk.load(tmp_path / "copy").generate(speech, seed=2)
-    for part in ("rotations", "translation", "expressions"):
+    for part in ("rotations", "translation"):
         np.testing.assert_array_equal(getattr(again, part), getattr(first, part))
+    np.testing.assert_array_equal(again.face.values, first.face.values)
 
 
 def test_all_controls_move_fingers_and_the_face(state_model, speech):
@@ -173,7 +175,7 @@ def test_all_controls_move_fingers_and_the_face(state_model, speech):
     clip = recording(2.0, 0)
     kept = state_model.generate(speech, keep={1.0: clip})
     np.testing.assert_allclose(kept.rotations[30:90], clip.rotations, atol=1e-9)
-    np.testing.assert_array_equal(kept.expressions[30:90], clip.expressions)
+    np.testing.assert_array_equal(kept.face.values[30:90], clip.face.values)
     coarse = state_model.generate(speech, levels=2, seed=4)
     others = (
         {"keyframes": coarse, "keyframe_level": 2, "seed": 4},
@@ -290,24 +292,24 @@ def test_joints_that_hardly_move_are_no_passive_channels(gesture, size, moves):
     turn = size * np.sin(6 * motion.times)[:, None] * [1.0, 0.0, 0.0]
     motion.rotations[:, motion.skeleton.index("LeftHand")] = quaternion_from_rotation_vector(turn)
     found = PassiveChannels.find([motion], modelled)
-    assert found.joints == (("LeftHand",) if moves else ()) and found.expressions == 0
-    faced = replace(motion, expressions=np.zeros((motion.n_frames, 10)))
-    wider = replace(motion, expressions=np.zeros((motion.n_frames, 50)))
-    assert PassiveChannels.find([faced, faced], modelled).expressions == 10
+    assert found.joints == (("LeftHand",) if moves else ()) and not found.face
+    faced = replace(motion, face=smplx_face(np.zeros((motion.n_frames, 10))))
+    wider = replace(motion, face=smplx_face(np.zeros((motion.n_frames, 50))))
+    assert PassiveChannels.find([faced, faced], modelled).face == smplx_names(10)
     for other in (wider, motion):
-        assert PassiveChannels.find([faced, other], modelled).expressions == 0
+        assert not PassiveChannels.find([faced, other], modelled).face
 
 
 @pytest.mark.parametrize("n_frames", [5, 1030])
 def test_passive_channels_come_back_as_they_were(gesture, n_frames):
     motion = gesture(n_frames / 30)
-    motion = replace(motion, expressions=np.random.default_rng(0).random((n_frames, 4)))
-    passive = PassiveChannels(("LeftHand", "RightHand"), 4)
+    motion = replace(motion, face=smplx_face(np.random.default_rng(0).random((n_frames, 4))))
+    passive = PassiveChannels(("LeftHand", "RightHand"), smplx_names(4))
     values = passive.encode(motion)
     blank = motion.rotations.copy()
     blank[:, [motion.skeleton.index(name) for name in passive.joints]] = [0, 0, 0, 1]
     made = passive.applied(
-        replace(motion, rotations=blank, expressions=None), lambda part: values[:, part]
+        replace(motion, rotations=blank, face=None), lambda part: values[:, part]
     )
     assert rotation_angles(made.rotations, motion.rotations).max() < 1e-3
-    np.testing.assert_allclose(made.expressions, motion.expressions, atol=1e-6)
+    np.testing.assert_allclose(made.face.values, motion.face.values, atol=1e-6)

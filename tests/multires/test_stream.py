@@ -42,10 +42,13 @@ def usual(state_model, speech) -> gk.Motion:
 
 
 def equal(first: gk.Motion, second: gk.Motion, frames: slice = slice(None)) -> bool:
-    parts = ("rotations", "translation", "expressions")
     return all(
-        np.array_equal(getattr(first, part)[frames], getattr(second, part)[frames])
-        for part in parts
+        np.array_equal(one[frames], other[frames])
+        for one, other in (
+            (first.rotations, second.rotations),
+            (first.translation, second.translation),
+            (first.face.values, second.face.values),
+        )
     )
 
 
@@ -129,7 +132,7 @@ def test_seed_name_mood_liveliness_and_speaker_decide_what_is_shown(state_model,
     ):
         other = streamed(state_model.stream(RATE, **{"seed": 3} | options), short)
         assert not np.array_equal(other.rotations[frames], usual.rotations[frames]), options
-    assert other.expressions[:, 5] == pytest.approx(-1), "his face"
+    assert other.face.values[:, 5] == pytest.approx(-1), "his face"
 
 
 def test_fingers_and_the_face_are_played_from_the_recordings(usual):
@@ -205,7 +208,7 @@ def test_a_stream_has_one_style(state_model):
 
     calm, glad = (begun(style=name) for name in ("calm", "glad"))
     assert not np.array_equal(calm.rotations, glad.rotations)
-    assert calm.expressions[:, 5] == pytest.approx(1), "Ann's face, who is calm"
+    assert calm.face.values[:, 5] == pytest.approx(1), "Ann's face, who is calm"
     for item in "ab":
         drawn, *asked = (begun(item=item, style=name) for name in (None, "calm", "glad"))
         assert any(equal(drawn, one) for one in asked)

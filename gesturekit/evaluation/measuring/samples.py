@@ -114,7 +114,7 @@ def copied(motion: Motion, start_frame: int, stop_frame: int) -> Motion:
         rotations=part.rotations.copy(),
         translation=part.translation.copy(),
         joint_translations={name: v.copy() for name, v in part.joint_translations.items()},
-        expressions=None,
+        face=None,
     )
 
 

@@ -119,7 +119,7 @@ class Transfer:
             rotations, shift = self._on_feet(rotations, world, positions, feet)
         carried = positions[:, carrier] + shift
         made = _placed(motion, skeleton, rotations, moving, carrier, carried)
-        return replace(made, expressions=motion.expressions) if same else made
+        return replace(made, face=motion.face)
 
     def _fit(
         self, motion: Motion, source: BodyFrames, feet: FootMotion | None, same: bool

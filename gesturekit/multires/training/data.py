@@ -353,7 +353,7 @@ class TrainingData:
             "sources": [*map(asdict, self.sources)],
             "window": self.window,
             "recorded_fps": self.recorded_fps,
-            "passive": [passive.joints, passive.expressions],
+            "passive": [passive.joints, passive.face],
             "spoken": self.spoken,
             "sampled": self.sampled,
             "stored": stored,
@@ -393,7 +393,7 @@ class TrainingData:
                 find = ArrayFolder(config.arrays_folder).find_all
                 arrays = {name: find(keys) for name, keys in about["stored"].items()}
                 frames = CorpusFrames.of(arrays, normaliser, conditioner)
-            joints, expressions = about["passive"]
+            joints, face = about["passive"]
             sampled = about["sampled"]
             return cls(
                 paired=paired_sequences(config, labels, frames, list(tensors["sigma"])),
@@ -406,7 +406,7 @@ class TrainingData:
                 speakers=read_speakers(about),
                 sources=from_values(about["sources"]),
                 recorded_fps=about["recorded_fps"],
-                passive=PassiveChannels(tuple(joints), expressions),
+                passive=PassiveChannels(tuple(joints), tuple(face)),
                 start=read_start(tensors),
                 spoken=tuple(about["spoken"]),
                 sampled=None if sampled is None else tuple(map(tuple, sampled)),

@@ -191,7 +191,7 @@ class MotionArrays:
             **self.rig.origin(item),
             "joints": list(known.joints),
             "lengths": [known.scale, known.contact_speed],
-            "passive": [list(self.passive.joints), self.passive.expressions],
+            "passive": [list(self.passive.joints), list(self.passive.face)],
             "settings": [self.fps, self.face_forward],
         }
 
