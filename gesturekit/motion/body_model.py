@@ -8,7 +8,7 @@ with the joints it is weighted to (linear blend skinning). A `Skin` is such a me
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -315,6 +315,19 @@ INFLUENCES = 4
 
 
 @dataclass(frozen=True, eq=False)
+class Morph:
+    """Displacement of some vertices of a skin at rest, by a face channel of value 1.
+
+    Attributes:
+        vertices: (K,) indices of the vertices.
+        offsets: (K, 3) metres; values of the channel scale them.
+    """
+
+    vertices: np.ndarray
+    offsets: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Skin:
     """Mesh of a body at rest, and the joints that move it.
 
@@ -327,6 +340,7 @@ class Skin:
         regions: (V,) uint8, the part of the surface that gives a vertex its colour; None for a
             body of one colour.
         palette: (R, 3) uint8, RGB of the regions; None for those of the human body.
+        morphs: by the name of a channel of `FaceTrack`.
     """
 
     vertices: np.ndarray
@@ -336,6 +350,7 @@ class Skin:
     rest: np.ndarray
     regions: np.ndarray | None = None
     palette: np.ndarray | None = None
+    morphs: Mapping[str, Morph] = field(default_factory=dict)
 
     @classmethod
     def of(cls, body: BodyModel, betas: ArrayLike = ()) -> Skin:

@@ -1,0 +1,1 @@
+"""Rule-based face motion from speech: mouth, blinks and small eye movements."""
