@@ -24,24 +24,11 @@ MAY_IMPORT["evaluation"] |= {"corpus", "face", "viewer"}  # its report embeds th
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "jobs", "motion", "viewer"}
 MAY_IMPORT["training"] |= {"model", "state"}
 MAY_IMPORT["state"] = {"corpus", "motion"}
-MAY_IMPORT["multires"] = {
-    "face",
-    "model",
-    "postprocess",
-    "state",
-    "training",
-    *MAY_IMPORT["training"],
-}
+MAY_IMPORT["multires"] = {"model", "postprocess", "state", "training", *MAY_IMPORT["training"]}
+MAY_IMPORT["multires"] |= {"face"}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
 MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
-MAY_IMPORT["rendering"] = {
-    "face",
-    "jobs",
-    "systems",
-    "multires",
-    "diffusion",
-    *MAY_IMPORT["multires"],
-}
+MAY_IMPORT["rendering"] = {"jobs", "systems", "multires", "diffusion", *MAY_IMPORT["multires"]}
 MAY_IMPORT["study"] = {"corpus", "evaluation", "formats", "motion", "training", "viewer"}
 MAY_IMPORT["serving"] = {"model", "systems"}
 MAY_IMPORT["live"] = {"face", "formats", "model", "motion", "serving", "viewer"}
