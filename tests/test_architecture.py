@@ -20,12 +20,11 @@ MAY_IMPORT["conversion"] = {"formats", "jobs", "motion"}
 MAY_IMPORT["postprocess"] = {"motion"}
 for _package in ("corpus", "evaluation", "viewer"):
     MAY_IMPORT[_package] = {"formats", "motion"}
-MAY_IMPORT["evaluation"] |= {"corpus", "face", "viewer"}  # its report embeds the player
+MAY_IMPORT["evaluation"] |= {"corpus", "viewer"}  # its report embeds the player
 MAY_IMPORT["training"] = {"corpus", "evaluation", "formats", "jobs", "motion", "viewer"}
-MAY_IMPORT["training"] |= {"model", "state"}
+MAY_IMPORT["training"] |= {"face", "model", "state"}
 MAY_IMPORT["state"] = {"corpus", "motion"}
 MAY_IMPORT["multires"] = {"model", "postprocess", "state", "training", *MAY_IMPORT["training"]}
-MAY_IMPORT["multires"] |= {"face"}
 MAY_IMPORT["diffusion"] = MAY_IMPORT["multires"]
 MAY_IMPORT["inspection"] = {"systems", "diffusion", *MAY_IMPORT["multires"]}
 MAY_IMPORT["rendering"] = {"jobs", "systems", "multires", "diffusion", *MAY_IMPORT["multires"]}
@@ -35,7 +34,7 @@ MAY_IMPORT["live"] = {"face", "formats", "model", "motion", "serving", "viewer"}
 MAY_IMPORT["cli"] = {"conversion", "study", "diagnosis", "inspection", "live", "serving"}
 MAY_IMPORT["cli"] |= {"rendering", *MAY_IMPORT["rendering"]}
 # Modules outside of any package. `systems` imports models and trainers by name, lazily.
-MAY_IMPORT["model"] = {"corpus", "face", "motion"}
+MAY_IMPORT["model"] = {"corpus", "motion"}
 MAY_IMPORT["systems"] = {"model", "training"}
 MAY_IMPORT["diagnosis"] = {"formats", "systems"}
 EVERYONE_MAY_IMPORT = {"errors", "compiled", "field_docs", "lazy", "progress", "wording"}

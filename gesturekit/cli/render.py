@@ -275,6 +275,11 @@ def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
         summary.counts["failed"] += 1
     if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
         _write_page(batch)
+    if "face" in batch.processor.settings:
+        from gesturekit.jobs.records import all_records
+        from gesturekit.rendering.summary import faces_in_words
+
+        click.echo(faces_in_words(all_records(batch.state)), err=True)
     click.echo(summary, err=True)
     return 1 if summary.counts["failed"] else 0
 

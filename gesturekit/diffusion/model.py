@@ -28,6 +28,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.files import load_state, state_values
 from gesturekit.training.config import build, to_dict
+from gesturekit.training.faces import with_faces
 from gesturekit.training.model_folder import ModelParts, TrainedModel
 from gesturekit.training.seeds import checked_item, checked_seed
 
@@ -117,6 +118,7 @@ class DiffusionModel(TrainedModel):
             to_output_rate(request.placement.applied(motion), rate, request.wave, request.seconds)
             for motion in sampled_motions(request, samples)
         ]
+        motions = with_faces(motions, request.wave, asked, seed, item)
         return motions[0] if samples == 1 else motions
 
     def check_controls(

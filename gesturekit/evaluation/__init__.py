@@ -27,6 +27,7 @@ _PUBLIC = {
     "metrics.rhythm": (
         "BeatResult beat_alignment beat_consistency motion_beats music_beats speech_onsets"
     ),
+    "metrics.mouth": "mouth_agreement mouth_opening",
     "metrics.similarity": "cca l1_diversity pose_rmse root_relative srgr vertex_lvd vertex_mse",
     "metrics.sync": "SyncResult speech_envelope sync",
     "metrics.two_sample": (

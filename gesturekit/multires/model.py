@@ -39,6 +39,7 @@ from gesturekit.state.channels import StateChannels
 from gesturekit.state.files import load_state, state_values
 from gesturekit.state.live import AheadPrediction, live_rows
 from gesturekit.training.config import build, to_dict
+from gesturekit.training.faces import with_faces
 from gesturekit.training.features import conditioner_values, load_conditioner
 from gesturekit.training.model_folder import ModelParts, TrainedModel
 from gesturekit.training.seeds import checked_item, checked_seed
@@ -131,6 +132,7 @@ class MultiresModel(TrainedModel):
         ]
         if rate is not None:
             motions = [to_output_rate(motion, rate, request.wave, seconds) for motion in motions]
+        motions = with_faces(motions, request.wave, asked, seed, item)
         return motions[0] if samples == 1 else motions
 
     @gesturekit_errors()

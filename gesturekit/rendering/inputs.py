@@ -12,9 +12,9 @@ Paths are relative to the list's folder or, if there is no such file, to the wor
 are named by the id; without one, by the path as it is written in the list, or by the stem of a path
 that is absolute or has `..`.
 
-A task has in `more` the settings of its input alone: `seed`, `style` and `speaker`; `start` and
-`seconds`, the interval of the sound, or the length without sound; `channel`. For an item of a
-manifest it has only the `item`.
+A task has in `more` the settings of its input alone: `seed`, `style`, `speaker` and `transcript`;
+`start` and `seconds`, the interval of the sound, or the length without sound; `channel`. For an
+item of a manifest it has only the `item`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from __future__ import annotations
 import glob
 import json
 import logging
+import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
@@ -30,8 +31,9 @@ from typing import Any
 import soundfile
 
 import audio_features as af
+from audio_features.archive import read_bytes
 from audio_features.sound_file import soundfile_name
-from audio_features.words import words_beside
+from audio_features.words import load_words, words_beside
 from gesturekit.corpus.item import Item, check_id
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.formats.sources import (
@@ -47,13 +49,14 @@ from gesturekit.wording import listed
 
 LIST_SUFFIXES = (".txt", ".lst", ".list", ".scp", ".jsonl")
 FIELDS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("audio", "id", "style", "speaker"), (str,)),
+    **dict.fromkeys(("audio", "id", "style", "speaker", "transcript"), (str,)),
     **dict.fromkeys(("seed", "channel"), (int,)),
     **dict.fromkeys(("start", "seconds"), (int, float)),
 }
 """Fields of a line of NAME.jsonl with their types; `seconds` and `start` are the interval of the
 sound, and `seconds` alone is the length of a motion without sound."""
 _MAX_LINE = 1 << 16
+_MAX_TEXT = 1 << 20  # bytes of a transcript; hours of speech
 _MAX_SECONDS = 4 * 3600  # the longest sound that is read
 
 SoundSource = str | os.PathLike[str] | Item
@@ -82,6 +85,30 @@ def task_words(task: Task) -> Path | None:
     if "item" in task.more and (given := task.more["item"].conditions.get("words")) is not None:
         return Path(given)
     return None if task.path is None else words_beside(task.path)
+
+
+def task_transcript(task: Task) -> str | None:
+    """Return the text that is spoken in a task's interval of its sound, if it is known.
+
+    It is the task's or its item's own, that of the words within the interval (`task_words`), or
+    that of NAME.txt beside a sound that is used whole.
+
+    Raises:
+        AudioFeaturesError: the words or the text cannot be read.
+    """
+    item, more = task.more.get("item"), task.more
+    text: str | None = more.get("transcript") if item is None else item.text
+    if text is not None or task.path is None:
+        return text
+    start = more.get("start", 0.0) if item is None else item.audio_start
+    seconds = more.get("seconds", math.inf) if item is None else item.duration
+    if (words := task_words(task)) is not None:
+        inside = (w for w in load_words(words) if w.end > start and w.start < start + seconds)
+        return " ".join(word.text for word in inside)
+    beside = task.path.with_suffix(".txt")
+    if item is not None or (start, seconds) != (0.0, math.inf) or not beside.is_file():
+        return None
+    return read_bytes(beside, _MAX_TEXT, af.FeatureError).decode("utf-8-sig", "replace").strip()
 
 
 def find_tasks(sources: SoundSource | Sequence[SoundSource], out: Path) -> list[Task]:

@@ -15,10 +15,10 @@ from gesturekit.errors import ConfigError
 from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.smpl import Rig
 from gesturekit.formats.sources import writer_options
-from gesturekit.jobs.result import Processor, Result, Task, json_of, path_digest
+from gesturekit.jobs.result import Processor, Result, Task, digest_of, json_of, path_digest
 from gesturekit.model import Model, control_entries
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.inputs import task_wave, task_words
+from gesturekit.rendering.inputs import task_transcript, task_wave, task_words
 from gesturekit.systems import controls_type, drawing_options
 from gesturekit.viewer.drawn_body import AVATARS, load_avatar
 from gesturekit.viewer.video import require_encoder
@@ -152,6 +152,8 @@ class Renderer(Processor):
             files = (file.find(task.path) for m in self._models for file in m.inputs.files)
             digests = [path and path_digest(path) for path in files]
             about |= {"features": digests} if digests else {}
+        if (text := self._transcript(task)) is not None:
+            about["transcript"] = digest_of(text)
         if (item := task.more.get("item")) is None:
             return about | json_of(task.more)
         about |= {"start": item.audio_start, "duration": item.duration}
@@ -163,6 +165,11 @@ class Renderer(Processor):
         """Return the controls of a manifest's item that were not given for all inputs."""
         controls = item.controls(self.model)
         return {name: value for name, value in controls.items() if name not in self.controls}
+
+    def _transcript(self, task: Task) -> str | None:
+        """Return the transcript of a task for its face, if it is needed and none is given."""
+        needed = self.controls.get("face") == "phones" and "transcript" not in self.controls
+        return task_transcript(task) if needed and task.path is not None else None
 
     def has_speaker(self, task: Task) -> bool:
         """Return whether a speaker is chosen for a task, or the model has none to choose from."""
@@ -201,6 +208,8 @@ class Renderer(Processor):
             controls |= {name: task.more[name] for name in names if name in task.more}
             if not is_whole_sound:
                 seconds = task.more.get("seconds", wave and wave.duration)
+        if (text := self._transcript(task)) is not None:
+            controls["transcript"] = text
         speech = wave if seconds is None else None
         controls |= {"seconds": seconds, "item": task.id, "samples": self.samples}
         motions = self.model.generate(speech, **controls)

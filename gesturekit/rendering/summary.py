@@ -6,7 +6,8 @@ import base64
 import html
 import math
 import tempfile
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,7 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
         f"{len(status.left)} left.</p>\n<p>Speed of the last ten minutes of work: "
         f"{status.items_per_minute:.1f} items a minute, {status.real_time_factor:.1f} times real "
         "time.</p>",
+        f"<p>{html.escape(printable(faces_in_words(done)))}</p>",
         *_histogram("Seconds of sound", [result.sound for result in done]),
         *_histogram("Speed, times real time", speeds),
         *_failures(status),
@@ -66,6 +68,19 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
         "</body></html>\n",
     ]
     write_text(path, "\n".join(lines))
+
+
+def faces_in_words(results: Iterable[Result]) -> str:
+    """Return how many results have faces by rules, and what these were made from; "" for none."""
+    files = (next(iter(result.made.values()), {}) for result in results)
+    settings = (file.get("made_with", {}) for file in files)
+    ways = Counter(
+        f"{made_with['face']}{' and a transcript' if made_with.get('transcript') else ''}"
+        for made_with in settings
+        if "face" in made_with
+    )
+    parts = [f"{counted(count, 'item')} from {way}" for way, count in sorted(ways.items())]
+    return f"Faces by rules, not recorded: {', '.join(parts)}" if parts else ""
 
 
 def _histogram(title: str, values: list[float]) -> Iterator[str]:

@@ -280,6 +280,8 @@ class TrainedModel(ABC):
             yield f"speaker={speaker!r}: the model does not know them ({known})"
         if samples < 1:
             yield f"samples={samples}: ask for at least 1"
+        if controls["transcript"] is not None and controls["face"] != "phones":
+            yield "transcript: only a face from phones uses one: face='phones' (--face phones)"
         yield from unused_controls(controls, self.state_process)
 
     @torch.no_grad()

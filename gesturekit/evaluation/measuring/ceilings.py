@@ -39,6 +39,9 @@ OTHERS, PIECES, HALVES = (
     "recording: one half against the other",
 )
 
+_OF_SPEECH = ("mouth", "mouth_lag", "mouth_chance", "mouth_z")
+"""What another take is no goal for: a mouth follows the words."""
+
 SECOND = ", second half"
 """Ending of the name of the second half of a single recording."""
 
@@ -66,7 +69,7 @@ def ceilings(
     ]
     found: dict[str, tuple[Interval, str]] = {}
     values = [measure.against(clip) for clip in clips]
-    for key in set(chain.from_iterable(values)) - {"hellinger"}:
+    for key in set(chain.from_iterable(values)) - {"hellinger", *_OF_SPEECH}:
         has = [(v[key], clip.pair) for v, clip in zip(values, clips) if key in v]
         takes = Takes.of([pair for _, pair in has])
         found[key] = interval_of([v for v, _ in has], takes, DEFINITIONS[key].within), note

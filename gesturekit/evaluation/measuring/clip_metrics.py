@@ -35,6 +35,7 @@ from gesturekit.evaluation.measuring.clips import (
 )
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.evaluation.metrics.hands import upper_joints
+from gesturekit.evaluation.metrics.mouth import mouth_opening
 from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
 from gesturekit.evaluation.metrics.sync import hardly_moves
 from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair
@@ -126,6 +127,21 @@ class ClipInputs:
     def duration(self) -> float:
         """Length of the motion, seconds."""
         return self.motion.duration
+
+    @property
+    def fps(self) -> float:
+        """Frames per second of the motion and the recording."""
+        return self.motion.fps
+
+    @property
+    def mouth(self) -> np.ndarray | None:
+        """Opening of the mouth (T,), or None."""
+        return mouth_opening(self.motion)
+
+    @property
+    def recorded_mouth(self) -> np.ndarray | None:
+        """Recorded opening of the mouth (T,), or None."""
+        return mouth_opening(self.clip.recording)
 
     @property
     def sources(self) -> tuple[object, ...]:

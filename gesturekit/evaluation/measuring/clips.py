@@ -13,6 +13,7 @@ import numpy as np
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.mouth import with_mouth_alone
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, ItemInterval, Pair
@@ -123,7 +124,7 @@ def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = fr
             frame), or rigs that do not match.
         FeatureError: the semantic track cannot be read.
     """
-    generated = read_motion(pair.generated)
+    generated = with_mouth_alone(read_motion(pair.generated))
     rate = fps or generated.fps
     recording = load_recording(pair.reference, rate)
     notes = []
@@ -304,7 +305,7 @@ def _later(track: FeatureTrack, start: float) -> FeatureTrack:
 
 
 def _resampled(path: Path | ItemInterval, fps: float) -> Motion:
-    motion = read_motion(path)
+    motion = with_mouth_alone(read_motion(path))
     if motion.n_frames < 2:
         raise FormatError(f"{path.name}: one frame; a motion to be measured has at least 2")
     return at_rate(motion, fps)

@@ -1,0 +1,104 @@
+"""Mouth: agreement of its opening with the recorded one, over time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.metrics.sync import MIN_SHIFT
+from gesturekit.motion import Motion
+from gesturekit.motion.face import FaceTrack
+from gesturekit.motion.root_path import side_axis
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    mean_quaternion,
+    multiply_quaternions,
+    rotation_vector_from_quaternion,
+)
+
+OPENING = "mouth opening"
+"""The one face channel of a motion from `with_mouth_alone`."""
+MAX_LAG = 0.3
+"""Largest lag tried, seconds."""
+_STILL = 1e-4  # standard deviation of an opening that does not move
+
+
+def mouth_opening(motion: Motion) -> np.ndarray | None:
+    """Return the opening of the mouth (T,), or None for a motion without one that moves.
+
+    It is the face channel jawOpen or, without it, the angle in radians by which the first joint
+    with "jaw" in its name turns from its mean about the body's left-right axis, positive downwards.
+
+    Examples:
+        >>> rig = gk.Skeleton(("hips", "jaw"), (-1, 0), [[0, 1, 0], [0, 0.6, 0.1]])
+        >>> turns = np.array([[[0, 0, 0, 1], [np.sin(a), 0, 0, np.cos(a)]] for a in (-0.1, 0.1)])
+        >>> mouth_opening(gk.Motion(rig, turns, np.zeros((2, 3)), 30)).round(3)
+        array([-0.2,  0.2])
+    """
+    opening, face = None, motion.face
+    channels = () if face is None else {OPENING, "jawOpen"} & {*face.names}
+    jaws = (j for j, name in enumerate(motion.skeleton.names) if "jaw" in name.lower())
+    if face is not None and channels:
+        opening = face.channel(min(channels))
+    elif (jaw := next(jaws, None)) is not None:
+        turns = motion.rotations[:, jaw]
+        turns = multiply_quaternions(invert_quaternions(mean_quaternion(turns)), turns)
+        opening = rotation_vector_from_quaternion(turns) @ side_axis([motion], jaw)
+    return None if opening is None or opening.std() < _STILL else opening
+
+
+def with_mouth_alone(motion: Motion) -> Motion:
+    """Return the motion with the opening of its mouth as the only channel of its face."""
+    opening = mouth_opening(motion)
+    if opening is None:
+        return motion if motion.face is None else replace(motion, face=None)
+    return replace(motion, face=FaceTrack((OPENING,), opening[:, None]))
+
+
+def mouth_agreement(mouth: np.ndarray, recorded_mouth: np.ndarray, fps: float) -> dict[str, float]:
+    """Return how well the opening of a mouth agrees with the recorded one.
+
+    Over the frames that both have: `mouth`, Pearson's r without lag; `mouth_lag`, the lag in seconds
+    within ±0.3 s at which r is largest, positive for a mouth that follows the recorded one;
+    `mouth_chance`, the mean of r over all circular shifts of the recorded opening by more than 1 s,
+    which is about 0; and `mouth_z`, r above it in standard deviations over these shifts.
+
+    Args:
+        mouth: (T,) opening, in any unit.
+        recorded_mouth: (T',) recorded opening, in any unit.
+        fps: frames per second of both.
+
+    Raises:
+        EvaluationError: less than 3 s in common, or a mouth that does not move within them.
+
+    Examples:
+        >>> mouth = np.random.default_rng(0).random(300)
+        >>> {key: round(value, 1) for key, value in mouth_agreement(mouth[3:], mouth, 30).items()}
+        {'mouth': 0.0, 'mouth_lag': -0.1, 'mouth_chance': 0.0, 'mouth_z': 0.1}
+    """
+    n = min(len(mouth), len(recorded_mouth))
+    if n < 3 * fps:
+        raise EvaluationError(f"{n / fps:.1f} s of mouths in common; expected at least 3 s")
+    ours, theirs = mouth[:n], recorded_mouth[:n]
+    if min(ours.std(), theirs.std()) < _STILL:
+        raise EvaluationError("a mouth does not move")
+    ours, theirs = ((side - side.mean()) / side.std() for side in (ours, theirs))
+    most = int(MAX_LAG * fps + 1e-9)
+    r = {
+        lag: np.corrcoef(ours[max(lag, 0) : n + min(lag, 0)], theirs[max(-lag, 0) : n - max(lag, 0)])
+        for lag in range(-most, most + 1)
+    }
+    best = max(r, key=lambda lag: np.nan_to_num(r[lag][0, 1], nan=-1.0))
+    # Of r at all circular shifts at once, by the convolution theorem.
+    shifted = np.fft.irfft(np.fft.rfft(ours) * np.conj(np.fft.rfft(theirs)), n) / n
+    shift = np.arange(n)
+    chance = shifted[np.minimum(shift, n - shift) > MIN_SHIFT * fps]
+    value, level, spread = float(r[0][0, 1]), float(chance.mean()), float(chance.std())
+    return {
+        "mouth": value,
+        "mouth_lag": best / fps,
+        "mouth_chance": level,
+        "mouth_z": (value - level) / spread if spread > 0 else 0.0,
+    }
