@@ -262,9 +262,9 @@ class Controls(TypedDict, total=False):
     fps: Annotated[float | None, Control(kind=float, above=0, most=1000, metavar="RATE")]
     """Frames per second of the result; by default those of the training recordings."""
     face: Annotated[str, Control("off", choices=("energy", "phones", "off"))]
-    """Make mouth, blinks and small eye movements by rules: from the energy and voicing of the speech
-    (energy, for any language) or from its phones (phones, for English; extra `face`). The rules'
-    face replaces one that the model plays from recordings; off keeps that."""
+    """Make mouth, blinks and small eye movements by rules: from the energy and voicing of the
+    speech (energy, for any language) or from its phones (phones, for English; extra `face`). They
+    replace a face that the model plays from recordings; off keeps that."""
     transcript: Annotated[str | None, Control(metavar="TEXT")]
     """English text of the speech, for `face` from phones; without it, phones are recognised."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -22,12 +23,13 @@ from gesturekit.cli.options import existing_option, is_left, resumable, seed_opt
 def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     """Render the bundled speech with the bundled model to BVH, npz, HTML and PNG.
 
-    The speech is copied to the same folder.
+    The face is made by rules (docs/face.md). The speech is copied to the same folder.
     """
     click.echo("Loading the demo model ...", err=True)
     from audio_features.atomic import atomic_write
     from gesturekit.rendering.batch import render_batch
     from gesturekit.rendering.renderer import Output
+    from gesturekit.rendering.summary import faces_in_words
     from gesturekit.systems import bundled_speech, load
 
     speech = bundled_speech()
@@ -39,13 +41,14 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     if not is_there and not is_left([wav], existing):
         with atomic_write(wav) as temporary:
             temporary.write_bytes(speech.read_bytes())
-    model = load("demo")
+    model, face = load("demo"), "phones" if find_spec("pocketsphinx") else "energy"
     click.echo(f"Rendering its speech into {out} ...", err=True)
     with resumable(lambda: "The same command continues."):
-        (result,) = render_batch(model, [speech], out, output, seed=seed).run()
+        (result,) = render_batch(model, [speech], out, output, seed=seed, face=face).run()
     if result.error is not None:
         click.echo(f"Failed: {result.error}", err=True)
         ctx.exit(1)
+    click.echo(faces_in_words([result]), err=True)
     uses = {
         ".wav": "the speech; Blender: Add > Sound in the Video Sequencer",
         ".bvh": "Blender: File > Import > Motion Capture (.bvh); Scale 0.01, Forward -Z, Up Y,\n"

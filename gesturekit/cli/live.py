@@ -42,7 +42,10 @@ gesturekit live --fit corpus.jsonl --model runs/mine/model   # a model without l
 _CONTROLS = ("style", "speaker", "liveliness")
 GROUPS = {
     "What to generate": ("model", "source", "rate", "look_ahead", "seed", *_CONTROLS, "weights"),
-    "Output": ("sinks", "existing", "host", "port", "names", "token_file", "body", "framing"),
+    "Output": (
+        *("sinks", "existing", "host", "port", "names", "token_file"),
+        *("body", "framing", "face"),
+    ),
 }
 _RECORD = "record:"
 _URGENT = 3
@@ -85,6 +88,12 @@ _URGENT = 3
     help="Body on the page.",
 )
 @framing_option
+@click.option(
+    "--face",
+    type=click.Choice(["energy", "off"]),
+    default="energy",
+    help="Mouth, blinks and gaze by rules from the energy of the sound; no recording.",
+)
 @existing_option("refuse")
 @weights_option
 @device_option

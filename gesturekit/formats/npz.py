@@ -268,13 +268,16 @@ _LONGEST_HEADER = 1 << 22
 def frames_header(motion: Motion) -> bytes:
     """Return the first line of a file of such motion."""
     about = {"format": _FORMAT, "fps": motion.fps, "skeleton": motion.skeleton.to_json()}
-    return json.dumps({**about, "moving": list(motion.joint_translations)}).encode() + b"\n"
+    face = [list(motion.face.names), motion.face.origin] if motion.face else [[], ""]
+    moving = list(motion.joint_translations)
+    return json.dumps({**about, "moving": moving, "face": face}).encode() + b"\n"
 
 
 def frames_rows(motion: Motion) -> bytes:
     """Return a motion's numbers as rows (T, D), one a frame."""
     turns = motion.rotations.reshape(motion.n_frames, -1)
     columns = [motion.translation, turns, *motion.joint_translations.values()]
+    columns += [motion.face.values] if motion.face else []
     return np.concatenate(columns, axis=1).astype("<f8").tobytes()
 
 
@@ -294,15 +297,17 @@ def read_frames(path: str | os.PathLike[str]) -> Motion:
                 raise FormatError(f"over {_MAX_JOINTS} joints")
             skeleton, moving = Skeleton.from_json(about["skeleton"]), list(about["moving"])
             ends = 3 + 4 * skeleton.n_joints
-            width = ends + 3 * len(moving)
+            (names, origin), faces = about["face"], ends + 3 * len(moving)
+            width = faces + len(names)
             n_frames = (os.fstat(file.fileno()).st_size - len(line)) // (8 * width)
             if not n_frames:
                 raise FormatError("no whole frame")
             rows = np.memmap(file, "<f8", "r", len(line), (n_frames, width))
         turns = rows[:, 3:ends].reshape(n_frames, -1, 4)
-        starts = range(ends, width, 3)
+        starts = range(ends, faces, 3)
         places = {name: rows[:, at : at + 3] for name, at in zip(moving, starts)}
-        motion = Motion(skeleton, turns, rows[:, :3], about["fps"], places)
+        face = FaceTrack(tuple(names), rows[:, faces:], origin) if names else None
+        motion = Motion(skeleton, turns, rows[:, :3], about["fps"], places, face=face)
     except KeyError as error:
         raise FormatError(f"{path}: the frames of a recording lack the field {error}") from None
     except (OSError, ValueError, TypeError, RecursionError, OverflowError) as error:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gesturekit.errors import ConfigError
+from gesturekit.live.face import LiveFace
 from gesturekit.live.sinks import PORT, Recording, Sink, Step, VmcSender
 from gesturekit.live.sources import (
     FileSource,
@@ -166,6 +167,7 @@ def run(
     report: Report,
     stopped: threading.Event,
     warn: Callable[[str], None],
+    face: LiveFace | None = None,
 ) -> None:
     """Generate motion until the sound ends, or all sinks have failed.
 
@@ -176,13 +178,15 @@ def run(
         report: figures to fill in.
         stopped: ends the run when it is set.
         warn: called with a line when something goes wrong that does not end the run.
+        face: face to add to the motion.
     """
     timeline, intake = Timeline(source.rate, source.tolerance), Intake(source)
     feeds = [_Feed(sink, source.fast, warn) for sink in sinks]
 
     def deliver(samples: np.ndarray, work: Callable[[], Motion | None]) -> None:
         seconds, lag = stream.n_frames / stream.fps, None
-        motion, captured = report.timed(work), timeline.moment(seconds)
+        whole = work if face is None else lambda: face.added(samples, work())
+        motion, captured = report.timed(whole), timeline.moment(seconds)
         if motion is not None and captured is not None:
             lag = time.monotonic() - captured
             report.lags.append(lag)
@@ -242,6 +246,7 @@ class Session:
         say: called with lines for the user.
         body: body on the page.
         framing: first view of the page.
+        face: "energy" for a face by rules, unless the model plays recorded ones, or "off".
         controls: of the stream: style, speaker and liveliness.
     """
 
@@ -257,6 +262,7 @@ class Session:
     say: Callable[[str], None]
     body: str = "human"
     framing: str = "whole"
+    face: str = "energy"
     names: tuple[str, ...] = ()
     token_file: Path | None = None
     controls: Mapping[str, Any] = field(default_factory=dict)
@@ -290,7 +296,9 @@ class Session:
         while not all(getattr(sink, "is_open", True) for sink in opened):
             if time.monotonic() >= latest or stopped.wait(_PAGE_POLL):
                 break
-        run(stream, source, opened, report=report, stopped=stopped, warn=self._warn)
+        face = LiveFace(stream, self.seed) if self.face == "energy" else None
+        about: dict[str, Any] = {"report": report, "stopped": stopped, "warn": self._warn}
+        run(stream, source, opened, face=face, **about)
 
     def _stream(self, model: Model, source: Source) -> MotionStream:
         return model.stream(source.rate, self.look_ahead, self.seed, **self.controls)

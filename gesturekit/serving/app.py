@@ -106,7 +106,7 @@ def _query(name: str, entry: Control) -> tuple[Any, Any]:
     """Return the type and default of the query parameter of a control."""
     limits: dict[str, Any] = {"gt": entry.above, "ge": entry.least, "le": entry.most}
     if entry.kind is str:
-        limits = {"max_length": 200}
+        limits = {"max_length": 4000}
     query = Query(description=field_docs(Controls)[name], **limits)
     kind: Any = Literal[entry.choices] if entry.choices else entry.kind
     return Annotated[kind if entry.default is not None else kind | None, query], entry.default

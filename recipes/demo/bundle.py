@@ -3,8 +3,8 @@
     python recipes/demo/bundle.py WORK_DIR [--out gesturekit/models/demo]
 
 Runs `prepare.py`, `gesturekit prepare` and `gesturekit train` in WORK_DIR, then copies the model
-and `demo.wav` (as `speech.wav`) to `--out`. The networks' weights and the recorded fingers are
-stored in half precision, and the card (README.md) is the run's own with the figures of
+and `demo.wav` (as `speech.wav`, with its text) to `--out`. The networks' weights and the recorded
+fingers are stored in half precision, and the card (README.md) is the run's own with the figures of
 `measure.py`.
 """
 
@@ -20,6 +20,7 @@ from pathlib import Path
 from measure import table
 from prepare import prepare
 from safetensors.torch import load_file, save_file
+from texts import DEMO
 
 from audio_features.atomic import atomic_write
 
@@ -61,6 +62,8 @@ def bundle(model: Path, speech: Path, out: Path, talks: int) -> None:
     for name in ("config.yaml", "skeleton.json"):
         shutil.copyfile(model / name, out / name)
     shutil.copyfile(speech, out / "speech.wav")
+    text = "".join(f"{sentence}\n" for sentence in DEMO).replace("*", "")
+    (out / "speech.txt").write_text(text, encoding="utf-8")
     tensors = load_file(model / "model.safetensors")
     halves = ("network.", "recorded.")
     halved = {k: v.half() if k.startswith(halves) else v for k, v in tensors.items()}

@@ -60,10 +60,10 @@ def with_mouth_alone(motion: Motion) -> Motion:
 def mouth_agreement(mouth: np.ndarray, recorded_mouth: np.ndarray, fps: float) -> dict[str, float]:
     """Return how well the opening of a mouth agrees with the recorded one.
 
-    Over the frames that both have: `mouth`, Pearson's r without lag; `mouth_lag`, the lag in seconds
-    within ±0.3 s at which r is largest, positive for a mouth that follows the recorded one;
-    `mouth_chance`, the mean of r over all circular shifts of the recorded opening by more than 1 s,
-    which is about 0; and `mouth_z`, r above it in standard deviations over these shifts.
+    Pearson's r of both over their common frames, of which one is shifted circularly: `mouth`, r
+    without a shift; `mouth_lag`, the shift in seconds within ±0.3 s at which r is largest, positive
+    for a mouth that is late; `mouth_chance`, the mean of r over all shifts by more than 1 s, which
+    is about 0; and `mouth_z`, r above that in standard deviations over these shifts.
 
     Args:
         mouth: (T,) opening, in any unit.
@@ -85,20 +85,15 @@ def mouth_agreement(mouth: np.ndarray, recorded_mouth: np.ndarray, fps: float) -
     if min(ours.std(), theirs.std()) < _STILL:
         raise EvaluationError("a mouth does not move")
     ours, theirs = ((side - side.mean()) / side.std() for side in (ours, theirs))
-    most = int(MAX_LAG * fps + 1e-9)
-    r = {
-        lag: np.corrcoef(ours[max(lag, 0) : n + min(lag, 0)], theirs[max(-lag, 0) : n - max(lag, 0)])
-        for lag in range(-most, most + 1)
-    }
-    best = max(r, key=lambda lag: np.nan_to_num(r[lag][0, 1], nan=-1.0))
-    # Of r at all circular shifts at once, by the convolution theorem.
-    shifted = np.fft.irfft(np.fft.rfft(ours) * np.conj(np.fft.rfft(theirs)), n) / n
+    # r at every circular shift: by the convolution theorem.
+    r = np.fft.irfft(np.fft.rfft(ours) * np.conj(np.fft.rfft(theirs)), n) / n
     shift = np.arange(n)
-    chance = shifted[np.minimum(shift, n - shift) > MIN_SHIFT * fps]
-    value, level, spread = float(r[0][0, 1]), float(chance.mean()), float(chance.std())
+    shift[shift > n // 2] -= n
+    best = np.where(np.abs(shift) <= MAX_LAG * fps + 1e-9, r, -np.inf).argmax()
+    chance = r[np.abs(shift) > MIN_SHIFT * fps]
     return {
-        "mouth": value,
-        "mouth_lag": best / fps,
-        "mouth_chance": level,
-        "mouth_z": (value - level) / spread if spread > 0 else 0.0,
+        "mouth": float(r[0]),
+        "mouth_lag": float(shift[best] / fps),
+        "mouth_chance": float(chance.mean()),
+        "mouth_z": float((r[0] - chance.mean()) / max(chance.std(), 1e-9)),
     }
