@@ -31,12 +31,12 @@ _LETTERS = dict(zip(ascii_lowercase, _SOUNDS.split(), strict=True))
 """Sounds of letters, for words that are not in the dictionary."""
 
 
-def phones_of(speech: Wave, loud: np.ndarray, transcript: str | None) -> list[Phone]:
+def phones_of(speech: Wave, openness: np.ndarray, transcript: str | None) -> list[Phone]:
     """Return the phones of English speech by time, and pauses as SIL.
 
     Args:
         speech: 16 kHz, at the standard level.
-        loud: (T,) loudness, 100 a second, from which places to cut are chosen.
+        openness: (T,) of the sound, 100 a second, from which places to cut are chosen.
         transcript: words that are spoken; aligned to the sound, if it can be.
 
     Raises:
@@ -56,7 +56,7 @@ def phones_of(speech: Wave, loud: np.ndarray, transcript: str | None) -> list[Ph
     settings = {"beam": 1e-20, "pbeam": 1e-20, "lw": 2.0}  # of PocketSphinx's documentation
     decoder = pocketsphinx.Decoder(allphone=lm, lm=None, dict=None, loglevel="FATAL", **settings)
     phones = []
-    for start, stop in _pieces(len(pcm) / _RATE, loud):
+    for start, stop in _pieces(len(pcm) / _RATE, openness):
         _decode(decoder, pcm[round(start * _RATE) : round(stop * _RATE)])
         phones += [
             _phone(found.word, found.start_frame, found.end_frame + 1, start)
@@ -75,10 +75,10 @@ def _phone(name: str, first: int, last: int, offset: float = 0.0) -> Phone:
     return Phone(name, offset + first * _FRAME + _CENTRE, offset + last * _FRAME + _CENTRE)
 
 
-def _pieces(seconds: float, loud: np.ndarray) -> list[tuple[float, float]]:
+def _pieces(seconds: float, openness: np.ndarray) -> list[tuple[float, float]]:
     """Return (start, stop) of pieces of a sound, cut where it is quietest for 0.2 s."""
     cuts = [0.0]
-    quiet = np.convolve(loud, np.ones(20), mode="same")
+    quiet = np.convolve(openness, np.ones(20), mode="same")
     while seconds - cuts[-1] > _LONGEST:
         first = round((cuts[-1] + _SHORTEST) / _FRAME)
         window = quiet[first : round((cuts[-1] + _LONGEST) / _FRAME)]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from audio_features import Wave
+from audio_features.acoustic.analysis import SAMPLE_RATE
 from gesturekit.errors import MotionError
 from gesturekit.face.channels import NAMES, channels
-from gesturekit.face.energy import AHEAD, Loudness, energy_values, sampled, smoothed
+from gesturekit.face.energy import EnergyFace, Openness, sampled
 from gesturekit.face.eyes import RATE, Eyes
 from gesturekit.face.phones import phones_of
 from gesturekit.face.visemes import mouth_of
@@ -50,27 +50,17 @@ def face_from_speech(
     """
     if method not in METHODS:
         raise MotionError(f"method {method!r} of a face; expected {' or '.join(METHODS)}")
-    speech = speech.resample(16_000).at_level()
+    speech = speech.resample(SAMPLE_RATE).at_level()
+    after = np.zeros(SAMPLE_RATE * math.ceil(max(n_frames / fps - speech.duration, 0.0) + 1.0))
     if method == "energy":
-        values = energy_values(speech, fps, n_frames, seed, item)
-    else:
-        values = _phone_values(speech, fps, n_frames, transcript, Eyes(seed, item))
-    return FaceTrack(NAMES, values, "rules")
-
-
-def _phone_values(
-    speech: Wave, fps: float, n_frames: int, transcript: str | None, eyes: Eyes
-) -> np.ndarray:
-    """Return the values (n_frames, E) of speech of 16 kHz at the standard level, by phones."""
-    loudness = Loudness(speech.sample_rate)
-    rest = np.zeros(round((loudness.delay + 0.1) * speech.sample_rate), np.float32)
-    parts = [*loudness.step(speech.samples), *loudness.step(rest)]
-    loud = np.concatenate([part for part, _ in parts])
-    n = max(math.ceil(n_frames * RATE / fps) + 2, len(loud))
-    loud = np.pad(loud, (0, n - len(loud)))
-    phones = [] if speech.is_silent else phones_of(speech, loud, transcript)
-    mouth = mouth_of(phones, n, hold=1.2 / fps)
-    gate = maximum_filter1d((loud > 0).astype(float), 2 * AHEAD + 1)
-    mouth = np.pad(mouth * gate[:, None], ((AHEAD, AHEAD), (0, 0)))
+        face = EnergyFace(SAMPLE_RATE, fps, seed, item)
+        values = np.concatenate([face.step(part) for part in (speech.samples, after)])
+        return FaceTrack(NAMES, values[:n_frames], "rules")
+    stream = Openness(SAMPLE_RATE)
+    steps = [step for part in (speech.samples, after) for step in stream.step(part)]
+    openness = np.concatenate([opened for opened, _ in steps])
+    phones = [] if speech.is_silent else phones_of(speech, openness, transcript)
+    mouth = mouth_of(phones, openness, hold=1.2 / fps)
+    eyes = Eyes(seed, item).step(openness > 0)
     at = np.arange(n_frames) * (RATE / fps)
-    return channels(sampled(smoothed(mouth), at), sampled(eyes.step(loud > 0), at))
+    return FaceTrack(NAMES, channels(sampled(mouth, at), sampled(eyes, at)), "rules")
