@@ -1,32 +1,80 @@
-"""Mouth from loudness, voicing and the colour of the voice, in any language; also live.
+"""Mouth from bands of the spectrum, in any language; also live.
 
-The rule follows Llorach et al. ("Web-based live speech-driven lip-sync", VS-Games 2016), who take
-jaw, rounding and spread of the lips from a few bands of the spectrum. Loudness counts from the
-speaker's own floor up to the level of his or her speech, so that neither the gain of a microphone
-nor steady noise opens the mouth.
+As in Llorach et al. ("Web-based live speech-driven lip-sync", VS-Games 2016), the amplitude in 700
+to 3000 Hz opens the mouth, sound of lower frequency alone rounds the lips, and hissing shows the
+teeth. Amplitude counts from the sound's own floor to the speaker's own level, so that neither the
+gain of a microphone nor steady noise opens the mouth.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
-from audio_features import Wave
+from audio_features.acoustic.analysis import N_FFT, SAMPLE_RATE
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from gesturekit.face.channels import NAMES, SHAPES, channels
 from gesturekit.face.eyes import RATE, Eyes
 
-_BLOCK = 4
+_BLOCK = 6
 """Frames of 10 ms that are computed at a time."""
-_SMOOTH = np.hanning(15)[1:-1] / np.hanning(15).sum()
-_AHEAD = len(_SMOOTH) // 2
+_LOW, _OPEN, _HISS = ((80, 500), (700, 3000), (4000, 8000))
 _REMEMBERED = 1000
-"""Frames, 10 s, whose quietest tenth is the floor."""
-_MARGIN, _LOWEST, _HIGHEST = 6.0, -25.0, -6.0
-"""dB above the floor at which the mouth begins to open; between these, relative to speech."""
-_FULL = 3.0
-"""dB, relative to speech, at which it is open."""
+"""Frames, 10 s, whose quietest tenth is the floor, and whose loudest twentieth is the level."""
+_ABOVE, _LEAST = 4.0, 0.2
+"""Times the floor at which the mouth begins to open; lowest level, relative to active speech."""
+_COMPRESSION = 0.35
+"""Exponent of power; 0.5 is amplitude."""
+_SMOOTH = np.hanning(21)[1:-1] / np.hanning(21).sum()
+_AHEAD = len(_SMOOTH) // 2
+
+
+class Openness:
+    """How far the mouth is open in sound that arrives block by block, 100 values a second.
+
+    Raises as `EnergyFace`.
+    """
+
+    def __init__(self, sample_rate: int) -> None:
+        self._sound = SpectrumStream(sample_rate, _BLOCK / RATE + 0.1)
+        self.delay = self._sound.delay + REACH + _BLOCK / RATE
+        self._powers = np.empty(0)
+
+    def step(self, samples: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield openness (n,) from 0 to 1 and shapes of the mouth (n, S) of the next frames."""
+        done = self._sound.n_frames
+        target = [done + _BLOCK]
+        for _ in self._sound.push(np.asarray(samples, np.float32), lambda: target[0]):
+            spectrum, _ = self._sound.window((self._sound.n_frames - done) / RATE)
+            done = self._sound.n_frames
+            target[0] = done + _BLOCK
+            low, power, hiss = (_band(spectrum.power, *band) for band in (_LOW, _OPEN, _HISS))
+            self._powers = np.concatenate([self._powers, power])[-_REMEMBERED:]
+            floor, level = np.quantile(self._powers, [0.1, 0.95])
+            floor, level = _ABOVE * floor, max(level, _LEAST, 2 * _ABOVE * floor)
+            opened = ((power - floor) / (level - floor)).clip(0.0, 1.0) ** _COMPRESSION
+            voiced = ((spectrum.melody.voicing - 0.3) / 0.4).clip(0.0, 1.0)
+            yield opened * (0.7 + 0.3 * voiced), _shapes(opened, voiced, low, hiss)
+
+
+def _band(power: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return the power (T,) from low to high Hz."""
+    first, last = (round(hertz * N_FFT / SAMPLE_RATE) for hertz in (low, high))
+    return power[:, first:last].sum(axis=1).astype(float)
+
+
+def _shapes(
+    opened: np.ndarray, voiced: np.ndarray, low: np.ndarray, hiss: np.ndarray
+) -> np.ndarray:
+    """Return the shapes of the mouth (T, S) from openness, voicing and the power of two bands."""
+    rounded = voiced * (low > 0.1) * (opened > 0) * (1 - opened)
+    teeth = (hiss / (hiss + low + 0.01)) * np.sqrt(opened)
+    values = {"jawOpen": 0.6 * opened * (0.7 + 0.3 * voiced), "mouthPucker": 0.4 * rounded}
+    values |= {"mouthFunnel": 0.2 * rounded, "mouthStretch": 0.2 * teeth}
+    values |= {"mouthLowerDown": 0.25 * opened + 0.2 * teeth, "mouthUpperUp": 0.1 * opened}
+    return np.stack([values.get(name, np.zeros(len(opened))) for name in SHAPES], axis=1)
 
 
 class EnergyFace:
@@ -50,79 +98,38 @@ class EnergyFace:
     names = NAMES
 
     def __init__(self, sample_rate: int, fps: float, seed: int = 0, item: str = "") -> None:
-        self.sample_rate, self.fps = sample_rate, fps
-        self._sound = SpectrumStream(sample_rate, _BLOCK / RATE + 0.1)
-        self.delay = self._sound.delay + REACH + (_BLOCK + _AHEAD + 1) / RATE
-        self._eyes_of = Eyes(seed, item)
-        self._energy = np.empty(0)
-        self._raw = np.zeros((_AHEAD, len(SHAPES)))  # from frame _first - _AHEAD
-        self._eyes = np.empty((0, 3))  # from frame _first
+        self.fps = fps
+        self._openness, self._drawn = Openness(sample_rate), Eyes(seed, item)
+        self.delay = self._openness.delay + (_AHEAD + 1) / RATE
+        self._shapes = np.zeros((_AHEAD, len(SHAPES)))  # from hundredth _first - _AHEAD
+        self._eyes = np.empty((0, 3))  # from hundredth _first
         self._first = self._n_frames = 0
 
     def step(self, samples: np.ndarray) -> np.ndarray:
-        """Return the values (n, E) of the frames that the next samples (N,) make final.
-
-        Raises:
-            AudioError: samples that are not finite.
-        """
+        """Return the values (n, E) of the frames that the next samples (N,) make final."""
         values = [np.empty((0, len(NAMES)))]
-        before = self._sound.n_frames
-        for _ in self._sound.push(np.asarray(samples, np.float32), lambda: before + _BLOCK):
-            self._analyse(self._sound.n_frames - before)
+        for opened, shapes in self._openness.step(samples):
+            self._shapes = np.concatenate([self._shapes, shapes])
+            self._eyes = np.concatenate([self._eyes, self._drawn.step(opened > 0)])
             values.append(self._final())
-            before = self._sound.n_frames
         return np.concatenate(values)
 
-    def _analyse(self, count: int) -> None:
-        """Append the shapes of `count` new frames of 10 ms."""
-        spectrum, _ = self._sound.window(count / RATE)
-        melody = spectrum.melody
-        self._energy = np.concatenate([self._energy, melody.energy])[-_REMEMBERED:]
-        floor = float(np.quantile(self._energy, 0.1)) + _MARGIN
-        least = min(max(floor, _LOWEST), _HIGHEST)
-        loud = ((melody.energy - least) / (_FULL - least)).clip(0.0, 1.0)
-        speaking = loud > 0
-        voiced = ((melody.voicing - 0.3) / 0.4).clip(0.0, 1.0)
-        self._raw = np.concatenate([self._raw, shapes(loud, voiced, spectrum.power)])
-        self._eyes = np.concatenate([self._eyes, self._eyes_of.step(speaking)])
-
     def _final(self) -> np.ndarray:
-        """Return the values of the frames whose surroundings are there."""
-        columns = [np.convolve(column, _SMOOTH, mode="valid") for column in self._raw.T]
-        mouth = np.stack(columns, axis=1)
-        known = self._first + len(mouth)  # hundredths that are final
-        stop = max(math.ceil((known - 1) * self.fps / RATE), self._n_frames)
+        """Return the values of the frames whose surroundings are there, and forget those."""
+        known = len(self._shapes) - 2 * _AHEAD
+        if known < 2:
+            return np.empty((0, len(NAMES)))
+        mouth = sum(weight * self._shapes[i : known + i] for i, weight in enumerate(_SMOOTH))
+        stop = max(math.ceil((self._first + known - 1) * self.fps / RATE), self._n_frames)
         at = np.arange(self._n_frames, stop) * (RATE / self.fps) - self._first
-        low = np.minimum(at.astype(int), max(len(mouth) - 2, 0))
-        way = (at - low)[:, None]
-        curves = [part[low] + way * (part[low + 1] - part[low]) for part in (mouth, self._eyes)]
-        self._n_frames = stop
-        keep = max(min(int(stop * RATE / self.fps), known - 1) - self._first, 0)
-        self._raw, self._eyes = self._raw[keep:], self._eyes[keep:]
-        self._first += keep
-        return channels(*curves)
+        values = channels(sampled(mouth, at), sampled(self._eyes, at))
+        gone = max(min(int(stop * RATE / self.fps) - self._first, known - 1), 0)
+        self._shapes, self._eyes = self._shapes[gone:], self._eyes[gone:]
+        self._first, self._n_frames = self._first + gone, stop
+        return values
 
 
-def shapes(loud: np.ndarray, voiced: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the shapes of the mouth (T, S) of frames of sound.
-
-    Args:
-        loud: (T,) 0 at the floor, 1 at the level of speech.
-        voiced: (T,) 0 to 1.
-        power: (T, 257) short-time power.
-    """
-    mouth = np.zeros((len(loud), len(SHAPES)))
-    open_ = loud * (0.2 + 0.8 * voiced)
-    mouth[:, SHAPES.index("jawOpen")] = 0.6 * open_
-    return mouth
-
-
-def energy_values(speech: Wave, fps: float, n_frames: int, seed: int, item: str) -> np.ndarray:
-    """Return the values (n_frames, E) of a whole sound, at once."""
-    wave = speech.resample(16_000).at_level()
-    face = EnergyFace(wave.sample_rate, fps, seed, item)
-    values = [face.step(wave.samples)]
-    missing = n_frames / fps - wave.duration + face.delay + 0.1
-    silence = np.zeros(16_000, np.float32)
-    values += [face.step(silence) for _ in range(math.ceil(max(missing, 0.0)))]
-    return np.concatenate(values)[:n_frames]
+def sampled(curves: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return curves (T, C) at the places `at` (N,), interpolated: (N, C)."""
+    columns = [np.interp(at, np.arange(len(curves)), column) for column in curves.T]
+    return np.stack(columns, axis=1) if len(at) else np.empty((0, curves.shape[1]))

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from audio_features import Wave
+from audio_features.acoustic.analysis import SAMPLE_RATE
 from gesturekit.errors import MotionError
-from gesturekit.face.channels import NAMES
-from gesturekit.face.energy import energy_values
+from gesturekit.face.channels import NAMES, channels
+from gesturekit.face.energy import EnergyFace, Openness, sampled
+from gesturekit.face.eyes import RATE, Eyes
+from gesturekit.face.phones import phones_of
+from gesturekit.face.visemes import mouth_of
 from gesturekit.motion.face import FaceTrack
 
 METHODS = ("energy", "phones")
@@ -42,5 +50,17 @@ def face_from_speech(
     """
     if method not in METHODS:
         raise MotionError(f"method {method!r} of a face; expected {' or '.join(METHODS)}")
-    values = energy_values(speech, fps, n_frames, seed, item)
-    return FaceTrack(NAMES, values, "rules")
+    speech = speech.resample(SAMPLE_RATE).at_level()
+    after = np.zeros(SAMPLE_RATE * math.ceil(max(n_frames / fps - speech.duration, 0.0) + 1.0))
+    if method == "energy":
+        face = EnergyFace(SAMPLE_RATE, fps, seed, item)
+        values = np.concatenate([face.step(part) for part in (speech.samples, after)])
+        return FaceTrack(NAMES, values[:n_frames], "rules")
+    stream = Openness(SAMPLE_RATE)
+    steps = [step for part in (speech.samples, after) for step in stream.step(part)]
+    openness = np.concatenate([opened for opened, _ in steps])
+    phones = [] if speech.is_silent else phones_of(speech, openness, transcript)
+    mouth = mouth_of(phones, openness, hold=1.2 / fps)
+    eyes = Eyes(seed, item).step(openness > 0)
+    at = np.arange(n_frames) * (RATE / fps)
+    return FaceTrack(NAMES, channels(sampled(mouth, at), sampled(eyes, at)), "rules")
