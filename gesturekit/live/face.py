@@ -24,7 +24,8 @@ class LiveFace:
     """
 
     def __init__(self, stream: MotionStream, seed: int) -> None:
-        self._rules = EnergyFace(stream.sample_rate, stream.fps, seed)
+        self._rate = stream.sample_rate
+        self._rules = EnergyFace(self._rate, stream.fps, seed)
         self._values = np.zeros((1, len(self._rules.names)))  # from frame _first
         self._first, self._next = -1, 0
 
@@ -37,7 +38,7 @@ class LiveFace:
         """
         if not len(samples):
             silence = self._rules.delay + (0 if motion is None else motion.duration)
-            samples = np.zeros(int(silence * self._rules.sample_rate) + 1, np.float32)
+            samples = np.zeros(int(silence * self._rate) + 1, np.float32)
         self._values = np.concatenate([self._values, self._rules.step(samples)])
         if motion is None:
             return None

@@ -8,6 +8,7 @@ import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -282,6 +283,8 @@ class TrainedModel(ABC):
             yield f"samples={samples}: ask for at least 1"
         if controls["transcript"] is not None and controls["face"] != "phones":
             yield "transcript: only a face from phones uses one: face='phones' (--face phones)"
+        if controls["face"] == "phones" and find_spec("pocketsphinx") is None:
+            yield "face='phones': pip install 'gesturekit[face]' first, or take face='energy'"
         yield from unused_controls(controls, self.state_process)
 
     @torch.no_grad()

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import soundfile
 import torch
 import yaml
 from runs import same_weights, weights
@@ -156,6 +157,19 @@ def test_fingers_and_the_face_are_those_of_recordings(state_model, speech):
         assert np.abs(other.face.values - made.face.values).max() > 0.1
     for seconds in (0.04, 3.0):
         assert len(state_model.generate(seconds=seconds).face.values) == round(30 * seconds)
+
+
+def test_a_face_by_rules_replaces_a_recorded_one_only_if_asked_for(
+    state_model, state_folder, speech, gesturekit, tmp_path
+):
+    recorded, ruled = (state_model.generate(speech, seed=1, face=way) for way in ("off", "energy"))
+    assert (recorded.face.origin, ruled.face.origin) == ("recorded", "rules")
+    np.testing.assert_array_equal(ruled.rotations, recorded.rotations)
+    soundfile.write(tmp_path / "a.wav", speech.samples, speech.sample_rate)
+    out = tmp_path / "take.npz"
+    where = ("--from", tmp_path / "a.wav", "--fast", "--to", f"record:{out}")
+    gesturekit("live", "--model", state_folder, *where).ok()
+    assert gk.Motion.load(out).face.origin == "recorded"
 
 
 def test_saved_and_loaded_it_gives_the_same_motion(state_model, state_folder, speech, tmp_path):
