@@ -9,72 +9,90 @@ gain of a microphone nor steady noise opens the mouth.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
-from audio_features.acoustic.analysis import N_FFT, SAMPLE_RATE
+from audio_features import Wave, speech_only
+from audio_features.acoustic.analysis import HOP, N_FFT, SAMPLE_RATE, short_time_power
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from gesturekit.face.channels import NAMES, SHAPES, channels
 from gesturekit.face.eyes import RATE, Eyes
 
-_BLOCK = 6
-"""Frames of 10 ms that are computed at a time."""
 _LOW, _OPEN, _HISS = ((80, 500), (700, 3000), (4000, 8000))
-_REMEMBERED = 1000
-"""Frames, 10 s, whose quietest tenth is the floor, and whose loudest twentieth is the level."""
+"""Bands, Hz."""
+_FLOOR, _LEVEL = 0.1, 0.95
+"""Quantiles of the power of the second band that are its floor and the speaker's level."""
 _ABOVE, _LEAST = 4.0, 0.2
 """Times the floor at which the mouth begins to open; lowest level, relative to active speech."""
 _COMPRESSION = 0.35
 """Exponent of power; 0.5 is amplitude."""
 _SMOOTH = np.hanning(21)[1:-1] / np.hanning(21).sum()
 _AHEAD = len(_SMOOTH) // 2
+_PIECE, _CONTEXT = 6000, 2
+"""Frames of 10 ms of a file that are analysed at a time, and more at both ends."""
+_STEP, _REMEMBERED = 6, 1000
+"""Frames of a stream that are analysed at a time, and whose power is known."""
+_EXPECTED = np.geomspace(0.0005, 1.5, 200)
+"""Powers of speech, with which a stream begins."""
 
 
-class Openness:
-    """How far the mouth is open in sound that arrives block by block, 100 values a second.
+def mouth_of_sound(wave: Wave) -> tuple[np.ndarray, np.ndarray]:
+    """Return openness (T,) from 0 to 1 and shapes of the mouth (T, S) of a sound, 100 a second.
 
-    Raises as `EnergyFace`.
+    Args:
+        wave: 16 kHz, at the standard level.
     """
-
-    def __init__(self, sample_rate: int) -> None:
-        self._sound = SpectrumStream(sample_rate, _BLOCK / RATE + 0.1)
-        self.delay = self._sound.delay + REACH + _BLOCK / RATE
-        self._powers = np.empty(0)
-
-    def step(self, samples: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield openness (n,) from 0 to 1 and shapes of the mouth (n, S) of the next frames."""
-        done = self._sound.n_frames
-        target = [done + _BLOCK]
-        for _ in self._sound.push(np.asarray(samples, np.float32), lambda: target[0]):
-            spectrum, _ = self._sound.window((self._sound.n_frames - done) / RATE)
-            done = self._sound.n_frames
-            target[0] = done + _BLOCK
-            low, power, hiss = (_band(spectrum.power, *band) for band in (_LOW, _OPEN, _HISS))
-            self._powers = np.concatenate([self._powers, power])[-_REMEMBERED:]
-            floor, level = np.quantile(self._powers, [0.1, 0.95])
-            floor, level = _ABOVE * floor, max(level, _LEAST, 2 * _ABOVE * floor)
-            opened = ((power - floor) / (level - floor)).clip(0.0, 1.0) ** _COMPRESSION
-            voiced = ((spectrum.melody.voicing - 0.3) / 0.4).clip(0.0, 1.0)
-            yield opened * (0.7 + 0.3 * voiced), _shapes(opened, voiced, low, hiss)
+    samples, n = speech_only(wave).samples, wave.n_frames(RATE)
+    bands = []
+    for first in range(0, n, _PIECE):
+        start, count = max(first - _CONTEXT, 0), min(_PIECE, n - first)
+        part = samples[start * HOP : (first + count + _CONTEXT) * HOP]
+        bands.append(_bands(short_time_power(part, first - start + count)[first - start :]))
+    powers = np.concatenate(bands)
+    return _mouth(powers, powers[:, 1])
 
 
-def _band(power: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return the power (T,) from low to high Hz."""
-    first, last = (round(hertz * N_FFT / SAMPLE_RATE) for hertz in (low, high))
-    return power[:, first:last].sum(axis=1).astype(float)
+def _bands(power: np.ndarray) -> np.ndarray:
+    """Return the power (T, 3) in _LOW, _OPEN and _HISS from short-time power (T, 257)."""
+    edges = np.rint(np.array([_LOW, _OPEN, _HISS]) * N_FFT / SAMPLE_RATE).astype(int)
+    return np.stack([power[:, first:last].sum(axis=1) for first, last in edges], axis=1)
 
 
-def _shapes(
-    opened: np.ndarray, voiced: np.ndarray, low: np.ndarray, hiss: np.ndarray
-) -> np.ndarray:
-    """Return the shapes of the mouth (T, S) from openness, voicing and the power of two bands."""
-    rounded = voiced * (low > 0.1) * (opened > 0) * (1 - opened)
-    teeth = (hiss / (hiss + low + 0.01)) * np.sqrt(opened)
-    values = {"jawOpen": 0.6 * opened * (0.7 + 0.3 * voiced), "mouthPucker": 0.4 * rounded}
-    values |= {"mouthFunnel": 0.2 * rounded, "mouthStretch": 0.2 * teeth}
-    values |= {"mouthLowerDown": 0.25 * opened + 0.2 * teeth, "mouthUpperUp": 0.1 * opened}
-    return np.stack([values.get(name, np.zeros(len(opened))) for name in SHAPES], axis=1)
+def _mouth(bands: np.ndarray, remembered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return openness (T,) and shapes of the mouth (T, S).
+
+    Args:
+        bands: (T, 3), from `_bands`.
+        remembered: (M,) power of the second band, whose quantiles are floor and level.
+    """
+    low, power, hiss = bands.T
+    floor, level = np.quantile(remembered, [_FLOOR, _LEVEL]) * [_ABOVE, 1.0]
+    level = max(level, _LEAST, 2 * floor)
+    opened = ((power - floor) / (level - floor)).clip(0.0, 1.0) ** _COMPRESSION
+    rounded = (low > 0.1) * (opened > 0) * (1 - opened)
+    teeth = hiss / (hiss + low + 0.01) * np.sqrt(opened)
+    values = {"jawOpen": 0.6 * opened, "mouthPucker": 0.4 * rounded, "mouthFunnel": 0.2 * rounded}
+    values |= {"mouthStretch": 0.2 * teeth, "mouthUpperUp": 0.1 * opened}
+    values["mouthLowerDown"] = 0.25 * opened + 0.2 * teeth
+    zeros = np.zeros(len(opened))
+    return opened, np.stack([values.get(name, zeros) for name in SHAPES], axis=1)
+
+
+def smoothed(curves: np.ndarray) -> np.ndarray:
+    """Return curves (T + 2 _AHEAD, C) smoothed over 0.2 s: (T, C)."""
+    n = len(curves) - 2 * _AHEAD
+    return sum(weight * curves[i : n + i] for i, weight in enumerate(_SMOOTH))
+
+
+def sampled(curves: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return curves (T, C) at the places `at` (N,), interpolated: (N, C)."""
+    columns = [np.interp(at, np.arange(len(curves)), column) for column in curves.T]
+    return np.stack(columns, axis=1)
+
+
+def energy_mouth(shapes: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the shapes (T, S) of a whole sound, smoothed, at the places `at` (N,)."""
+    return sampled(smoothed(np.pad(shapes, ((_AHEAD, _AHEAD), (0, 0)))), at)
 
 
 class EnergyFace:
@@ -99,37 +117,35 @@ class EnergyFace:
 
     def __init__(self, sample_rate: int, fps: float, seed: int = 0, item: str = "") -> None:
         self.fps = fps
-        self._openness, self._drawn = Openness(sample_rate), Eyes(seed, item)
-        self.delay = self._openness.delay + (_AHEAD + 1) / RATE
+        self._sound, self._drawn = SpectrumStream(sample_rate, 0.2), Eyes(seed, item)
+        self.delay = self._sound.delay + REACH + (_STEP + _AHEAD + 1) / RATE
+        self._powers = _EXPECTED
         self._shapes = np.zeros((_AHEAD, len(SHAPES)))  # from hundredth _first - _AHEAD
         self._eyes = np.empty((0, 3))  # from hundredth _first
         self._first = self._n_frames = 0
 
     def step(self, samples: np.ndarray) -> np.ndarray:
         """Return the values (n, E) of the frames that the next samples (N,) make final."""
-        values = [np.empty((0, len(NAMES)))]
-        for opened, shapes in self._openness.step(samples):
+        values, done = [np.empty((0, len(NAMES)))], [self._sound.n_frames]
+        for _ in self._sound.push(np.asarray(samples, np.float32), lambda: done[-1] + _STEP):
+            spectrum, _ = self._sound.window((self._sound.n_frames - done[-1]) / RATE)
+            done.append(self._sound.n_frames)
+            bands = _bands(spectrum.power)
+            self._powers = np.concatenate([self._powers, bands[:, 1]])[-_REMEMBERED:]
+            opened, shapes = _mouth(bands, self._powers)
             self._shapes = np.concatenate([self._shapes, shapes])
             self._eyes = np.concatenate([self._eyes, self._drawn.step(opened > 0)])
-            values.append(self._final())
+            if len(self._shapes) > 2 * _AHEAD + 1:
+                values.append(self._final())
         return np.concatenate(values)
 
     def _final(self) -> np.ndarray:
         """Return the values of the frames whose surroundings are there, and forget those."""
-        known = len(self._shapes) - 2 * _AHEAD
-        if known < 2:
-            return np.empty((0, len(NAMES)))
-        mouth = sum(weight * self._shapes[i : known + i] for i, weight in enumerate(_SMOOTH))
-        stop = max(math.ceil((self._first + known - 1) * self.fps / RATE), self._n_frames)
+        mouth = smoothed(self._shapes)
+        stop = max(math.ceil((self._first + len(mouth) - 1) * self.fps / RATE), self._n_frames)
         at = np.arange(self._n_frames, stop) * (RATE / self.fps) - self._first
         values = channels(sampled(mouth, at), sampled(self._eyes, at))
-        gone = max(min(int(stop * RATE / self.fps) - self._first, known - 1), 0)
+        gone = max(min(int(stop * RATE / self.fps) - self._first, len(mouth) - 1), 0)
         self._shapes, self._eyes = self._shapes[gone:], self._eyes[gone:]
         self._first, self._n_frames = self._first + gone, stop
         return values
-
-
-def sampled(curves: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return curves (T, C) at the places `at` (N,), interpolated: (N, C)."""
-    columns = [np.interp(at, np.arange(len(curves)), column) for column in curves.T]
-    return np.stack(columns, axis=1) if len(at) else np.empty((0, curves.shape[1]))

@@ -1,7 +1,8 @@
 """Blinks and small eye movements, drawn while time goes on.
 
 Blinks: gaps are log-normal with the mean rate of people who talk (Bentivoglio et al. 1997), and
-time runs faster at the beginning of a pause, where people blink more often. Lids close in half the
+a blink that is due soon is moved to the beginning of a pause, where people blink more often. Lids
+close in half the
 time in which they open (VanderWerf et al. 2003). Gaze: fixations around the middle, joined by
 saccades that take 25 ms and 2.2 ms a degree (Lee, Badler and Badler, "Eyes Alive", 2002).
 """
@@ -19,8 +20,8 @@ RATE = 100
 """Values per second."""
 _GAP, _SPREAD = 3.6, 0.5
 """Mean seconds between blinks, and standard deviation of their logarithm."""
-_PAUSE, _HASTE = 0.5, 3.0
-"""Seconds of a pause in which time runs faster for blinks, and how much faster."""
+_PAUSE, _SOON = 0.15, 1.5
+"""Seconds of silence that are a pause, and before a blink is due in which a pause moves it."""
 _CLOSING, _CLOSED, _OPENING = 0.08, 0.03, 0.17
 _FIXATION, _SHORTEST = 1.4, 0.25
 """Mean and least seconds of a fixation."""
@@ -61,13 +62,14 @@ class Eyes:
         values = np.empty((len(speaking), 3))
         for i, speech in enumerate(speaking.tolist()):
             self._silence = 0.0 if speech else self._silence + 1 / RATE
-            hasty = 0 < self._silence < _PAUSE
-            self._until_blink -= (_HASTE if hasty else 1.0) / RATE
+            pausing = self._silence - 1 / RATE < _PAUSE <= self._silence
+            self._until_blink -= 1 / RATE
             self._until_look -= 1 / RATE
             self._blinking += 1 / RATE
             self._moving += 1 / RATE
-            if self._until_blink <= 0:
-                self._blinking, self._until_blink = 0.0, self._gap()
+            if self._until_blink <= (_SOON if pausing else 0.0):
+                self._blinking = 0.0
+                self._until_blink += self._gap()  # the next one is not moved as well
             if self._until_look <= 0:
                 self._look()
             values[i, 0] = _lids(self._blinking)

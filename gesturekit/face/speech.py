@@ -10,10 +10,10 @@ from audio_features import Wave
 from audio_features.acoustic.analysis import SAMPLE_RATE
 from gesturekit.errors import MotionError
 from gesturekit.face.channels import NAMES, channels
-from gesturekit.face.energy import EnergyFace, Openness, sampled
+from gesturekit.face.energy import energy_mouth, mouth_of_sound, sampled
 from gesturekit.face.eyes import RATE, Eyes
 from gesturekit.face.phones import phones_of
-from gesturekit.face.visemes import mouth_of
+from gesturekit.face.visemes import mouth_of_phones
 from gesturekit.motion.face import FaceTrack
 
 METHODS = ("energy", "phones")
@@ -51,16 +51,14 @@ def face_from_speech(
     if method not in METHODS:
         raise MotionError(f"method {method!r} of a face; expected {' or '.join(METHODS)}")
     speech = speech.resample(SAMPLE_RATE).at_level()
-    after = np.zeros(SAMPLE_RATE * math.ceil(max(n_frames / fps - speech.duration, 0.0) + 1.0))
-    if method == "energy":
-        face = EnergyFace(SAMPLE_RATE, fps, seed, item)
-        values = np.concatenate([face.step(part) for part in (speech.samples, after)])
-        return FaceTrack(NAMES, values[:n_frames], "rules")
-    stream = Openness(SAMPLE_RATE)
-    steps = [step for part in (speech.samples, after) for step in stream.step(part)]
-    openness = np.concatenate([opened for opened, _ in steps])
-    phones = [] if speech.is_silent else phones_of(speech, openness, transcript)
-    mouth = mouth_of(phones, openness, hold=1.2 / fps)
-    eyes = Eyes(seed, item).step(openness > 0)
+    openness, mouth = mouth_of_sound(speech)
+    n = max(len(openness), math.ceil(n_frames * RATE / fps) + 1)
+    openness = np.pad(openness, (0, n - len(openness)))
     at = np.arange(n_frames) * (RATE / fps)
-    return FaceTrack(NAMES, channels(sampled(mouth, at), sampled(eyes, at)), "rules")
+    if method == "energy":
+        mouth = energy_mouth(np.pad(mouth, ((0, n - len(mouth)), (0, 0))), at)
+    else:
+        phones = [] if speech.is_silent else phones_of(speech, openness, transcript)
+        mouth = sampled(mouth_of_phones(phones, openness, hold=1.2 / fps), at)
+    eyes = sampled(Eyes(seed, item).step(openness > 0), at)
+    return FaceTrack(NAMES, channels(mouth, eyes), "rules")

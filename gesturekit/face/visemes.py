@@ -69,12 +69,12 @@ _SPOKEN = 0.15
 """Seconds around sound in which lips move; phones elsewhere were found in noise."""
 
 
-def mouth_of(phones: Iterable[Phone], openness: np.ndarray, hold: float) -> np.ndarray:
+def mouth_of_phones(phones: Iterable[Phone], openness: np.ndarray, hold: float) -> np.ndarray:
     """Return the shapes of the mouth (T, S), 100 a second.
 
     Args:
         phones: by time; other names than ARPAbet's count as silence.
-        openness: (T,) 0 to 1, of the sound (`Openness`); where it is 0 the mouth is closed.
+        openness: (T,) 0 to 1, of the sound (`mouth_of_sound`); where it is 0 the mouth is closed.
         hold: seconds that a closure lasts at least; more than the time between two frames of the
             face, or some closures would not be seen.
     """
