@@ -1,0 +1,166 @@
+"""CSV files of faces that Epic's iPhone app Live Link Face records.
+
+A row a frame: a timecode, the number of values (61), ARKit's 52 channels, and nine angles of head
+and eyes, which are left out. Timecodes are HH:MM:SS:FF.SSS, FF.SSS in frames of the app's rate.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from audio_features.archive import read_bytes
+from audio_features.atomic import atomic_write
+from gesturekit.errors import FormatError
+from gesturekit.motion.face import ARKIT, FaceTrack
+from gesturekit.motion.motion import Motion
+from gesturekit.wording import listed
+
+_COLUMNS = """
+    EyeBlinkLeft EyeLookDownLeft EyeLookInLeft EyeLookOutLeft EyeLookUpLeft EyeSquintLeft
+    EyeWideLeft EyeBlinkRight EyeLookDownRight EyeLookInRight EyeLookOutRight EyeLookUpRight
+    EyeSquintRight EyeWideRight JawForward JawRight JawLeft JawOpen MouthClose MouthFunnel
+    MouthPucker MouthRight MouthLeft MouthSmileLeft MouthSmileRight MouthFrownLeft MouthFrownRight
+    MouthDimpleLeft MouthDimpleRight MouthStretchLeft MouthStretchRight MouthRollLower
+    MouthRollUpper MouthShrugLower MouthShrugUpper MouthPressLeft MouthPressRight
+    MouthLowerDownLeft MouthLowerDownRight MouthUpperUpLeft MouthUpperUpRight BrowDownLeft
+    BrowDownRight BrowInnerUp BrowOuterUpLeft BrowOuterUpRight CheekPuff CheekSquintLeft
+    CheekSquintRight NoseSneerLeft NoseSneerRight TongueOut HeadYaw HeadPitch HeadRoll LeftEyeYaw
+    LeftEyePitch LeftEyeRoll RightEyeYaw RightEyePitch RightEyeRoll
+"""
+"""Values of a row, in the order of the app."""
+_MOST_BYTES = 256 << 20
+"""Largest file: over an hour at 60 frames a second."""
+_DAY = 24 * 3600.0
+_TIMECODE = re.compile(r"(\d\d?):(\d\d?):(\d\d?)[:;](\d{1,3}(?:\.\d{1,9})?)")
+_RATE = 60
+"""Usual frames a second of timecodes; those of written ones."""
+_RATES = (24, 25, 30, 50, _RATE, 120)
+
+
+def read_live_link(path: str | os.PathLike[str], fps: float, n_frames: int) -> FaceTrack:
+    """Read a face at the frames of a motion, whose first frame is the first row.
+
+    Values are interpolated between the rows' timecodes. The rate in which they count frames is the
+    least usual one that is above all of them, and 60 for less than a second. Rows without values
+    (no face was seen) are skipped.
+
+    Args:
+        path: the file; columns may be in any order, and some or all but one may be missing.
+        fps: frames per second of the motion.
+        n_frames: number of its frames.
+
+    Raises:
+        FormatError: missing, too large, or not such a table; with its line.
+
+    Warns:
+        UserWarning: the file is shorter (its last values are held) or longer than the motion.
+    """
+    path = Path(path)
+    names, times, values = _rows(path)
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / _RATE
+    lasts, needed = times[-1] + step, n_frames / fps
+    if abs(lasts - needed) > step + 1 / fps:
+        text = "its last values are held" if lasts < needed else "the rest is left out"
+        said = f"{path}: the face lasts {lasts:.2f} s, the motion {needed:.2f} s: {text}"
+        warnings.warn(said, stacklevel=2)
+    at = np.arange(n_frames) / fps
+    return FaceTrack(names, np.stack([np.interp(at, times, column) for column in values.T], axis=1))
+
+
+def _rows(path: Path) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Return the names of E channels, times (N,) in seconds from the first on, values (N, E)."""
+    known = {name.lower(): name for name in ARKIT}
+    columns: dict[str, int] = {}
+    codes, values = list[tuple[float, float]](), list[np.ndarray]()
+    try:
+        text = read_bytes(path, _MOST_BYTES, FormatError).decode("utf-8-sig")
+        rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+        head = [cell.strip().lower() for cell in next(rows, [])]
+        columns = {known[cell]: k for k, cell in enumerate(head) if cell in known}
+        if "timecode" not in head or not columns:
+            raise FormatError(f"{path}: no columns Timecode and EyeBlinkLeft, ..., TongueOut")
+        time = head.index("timecode")
+        for row in rows:
+            cells = [row[k].strip() for k in columns.values() if k < len(row)]
+            if any(cells):
+                where = f"{path}, line {rows.line_num}"
+                codes.append(_timecode(where, row[time] if time < len(row) else ""))
+                values.append(_numbers(where, cells, len(columns)))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise FormatError(f"{path}: not a CSV table ({error})") from None
+    if not values:
+        raise FormatError(f"{path}: no row with values of a face")
+    return tuple(columns), _seconds(path, np.array(codes)), np.stack(values)
+
+
+def _timecode(where: str, cell: str) -> tuple[float, float]:
+    """Return the whole seconds of a timecode, and its frames."""
+    match = _TIMECODE.fullmatch(cell.strip())
+    if not match or float(match[4]) >= max(_RATES):
+        raise FormatError(f"{where}: Timecode is {cell[:40]!r}; expected HH:MM:SS:FF.SSS")
+    hours, minutes, seconds = (int(match[k]) for k in (1, 2, 3))
+    return 3600.0 * hours + 60.0 * minutes + seconds, float(match[4])
+
+
+def _numbers(where: str, cells: list[str], count: int) -> np.ndarray:
+    try:
+        numbers = np.array(cells, float)
+    except ValueError:
+        numbers = np.array([np.nan])
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise FormatError(f"{where}: expected {count} finite numbers of the face's channels")
+    return numbers
+
+
+def _seconds(path: Path, codes: np.ndarray) -> np.ndarray:
+    """Return times (N,) from the first on, of whole seconds and frames (N, 2)."""
+    whole = np.unwrap(codes[:, 0], period=_DAY)  # midnight may pass
+    most = codes[:, 1].max()
+    rate = next(rate for rate in _RATES if rate > most)
+    if np.ptp(whole) < 1:
+        rate = max(rate, _RATE)
+    times = whole + codes[:, 1] / rate
+    if (np.diff(times) < 0).any():
+        row = int(np.flatnonzero(np.diff(times) < 0)[0]) + 2
+        raise FormatError(f"{path}: the timecode of row {row} is before that of the row above it")
+    return times - times[0]
+
+
+def write_live_link(motion: Motion, path: str | os.PathLike[str]) -> None:
+    """Write the face of a motion, with angles of 0, and timecodes that count 60 frames a second.
+
+    Args:
+        motion: with a face; nothing else of it is written.
+        path: the .csv file, written atomically.
+
+    Raises:
+        FormatError: no face, or none of ARKit's channels.
+
+    Warns:
+        UserWarning: channels that are not ARKit's.
+    """
+    face = motion.face
+    if face is None or not set(face.names) & set(ARKIT):
+        what = "no face" if face is None else "a face without ARKit's channels"
+        raise FormatError(f"{path}: the motion has {what}; csv holds nothing else")
+    if others := sorted(set(face.names).difference(ARKIT)):
+        warnings.warn(f"{path}: not ARKit's, and left out: {listed(others)}", stacklevel=2)
+    values, zero = dict(zip(map(str.lower, face.names), face.values.T)), np.zeros(len(face))
+    columns = _COLUMNS.split()
+    table = [values.get(name.lower(), zero) for name in columns]
+    with atomic_write(path) as temporary, temporary.open("w", encoding="ascii", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["Timecode", "BlendshapeCount", *columns])
+        for time, row in zip(motion.times, np.transpose(table)):
+            seconds, part = divmod(round(1000 * _RATE * time), 1000 * _RATE)
+            minutes, seconds = divmod(seconds, 60)
+            hours, minutes = divmod(minutes, 60)
+            code = f"{hours:02d}:{minutes:02d}:{seconds:02d}:{part / 1000:06.3f}"
+            writer.writerow([code, len(columns), *(f"{value:.6f}" for value in row)])
