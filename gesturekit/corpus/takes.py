@@ -172,10 +172,12 @@ def _continues(before: Motion, after: Motion) -> bool:
         return rotation_angles(a, b).mean(axis=-1)
 
     poses, first = before.rotations, after.rotations[0]
-    steps = apart(poses[1:], poses[:-1]) if len(poses) > 1 else np.zeros(1)
+    steps = apart(poses[1:], poses[:-1])
     walked = np.linalg.norm(np.diff(before.translation, axis=0), axis=-1)
     gap = np.linalg.norm(after.translation[0] - before.translation[-1])
-    near = apart(poses[-1], first) <= 2.0 * steps.max() and gap <= 2.0 * walked.max(initial=0.01)
+    near = apart(poses[-1], first) <= 2.0 * steps.max(initial=0.0) and gap <= 2.0 * walked.max(
+        initial=0.01
+    )
     return bool(near and apart(poses[-1], first) < 0.5 * apart(poses[0], first))
 
 

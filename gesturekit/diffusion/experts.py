@@ -171,7 +171,7 @@ def product_members(first: DiffusionModel, controls: DiffusionControls) -> list[
             raise ModelError(f"expert {number}: {reason}")
         if isinstance(weight, str):
             weight_track(weight, 1, first.fps)
-        inherited = style if _knows(model, style) else None
+        inherited = style if style is not None and _knows(model, style) else None
         members.append(Member(model, weight, inherited if named is None else named))
     if style is not None and not any(member.model.styles for member in members):
         raise ModelError(f"style={style!r}: this model has no styles")
@@ -183,9 +183,7 @@ def product_members(first: DiffusionModel, controls: DiffusionControls) -> list[
     return members
 
 
-def _knows(model: DiffusionModel, style: str | None) -> bool:
-    if style is None or not model.styles:
-        return False
+def _knows(model: DiffusionModel, style: str) -> bool:
     try:
         style_weights(model.styles, style, 1, model.fps)
     except ModelError:

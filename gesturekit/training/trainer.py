@@ -236,8 +236,8 @@ def plan_training(trainer: type[BaseTrainer], config: RunConfig) -> None:
         if excerpt.is_long(config):
             size = np.dot(estimate.rates, excerpt.lengths)
             log.info(
-                "Arrays of %.1f GB in %s; making those that are missing takes about %s.",
-                size / 1e9,
+                "Arrays of %.1f MB in %s; making those that are missing takes about %s.",
+                size / 1e6,
                 config.arrays_folder,
                 roughly(reading / config.workers),
             )

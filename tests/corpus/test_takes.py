@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from gesturekit.corpus import Item, prepare
 from gesturekit.corpus.recording import Recording
 from gesturekit.corpus.splits import split_items
-from gesturekit.corpus.takes import name_takes, neighbours
+from gesturekit.corpus.takes import name_takes, neighbours, pieces_of_takes
 from gesturekit.errors import CorpusError
+from gesturekit.motion import Motion
 
 PARTS = r"(.*)_part\d+"
 
@@ -133,6 +135,63 @@ def test_numbered_motions_that_continue_one_another_are_asked_about(tmp_path, ge
     assert warnings_of(numbered("rest")) == []
     (tmp_path / "other" / "day_1.npz").write_bytes(b"")
     assert warnings_of(numbered("other")) == [], "what cannot be read is reported elsewhere"
+
+
+@pytest.fixture
+def bent(gesture):
+    """bent(degrees, x): one joint of a resting body turns, and its root is at `x` metres."""
+
+    def make(degrees: list[float], x: list[float]) -> Motion:
+        still = gesture(len(degrees) / 20.0, 20.0)
+        rotations = np.repeat(still.rotations[:1], len(degrees), axis=0)
+        rotations[:, 1] = Rotation.from_rotvec(
+            np.radians(degrees)[:, None] * [1.0, 0.0, 0.0]
+        ).as_quat()
+        return replace(still, rotations=rotations, translation=np.array([[a, 0.9, 0.0] for a in x]))
+
+    return make
+
+
+TURN, WALK, STILL = [0.0, 2.0, 3.0, 6.0, 9.0], [0.0, 0.1, 0.15, 0.3, 0.45], [0.0] * 5
+
+
+@pytest.mark.parametrize(
+    ("before", "first", "continues"),
+    [
+        *(((TURN, STILL), (14.9, 0.0), True), ((TURN, STILL), (15.1, 0.0), False)),
+        *(((TURN, WALK), (9.0, 0.74), True), ((TURN, WALK), (9.0, 0.76), False)),
+        *(((TURN, STILL), (9.0, 0.019), True), ((TURN, STILL), (9.0, 0.021), False)),
+        # Half as far from the end as from the beginning, and a little farther.
+        (([0.0, 5.0, 8.0, 5.0, 2.5], STILL), (4.9, 0.0), True),
+        (([0.0, 5.0, 8.0, 5.0, 2.5], STILL), (5.1, 0.0), False),
+        (([0.0], [0.0]), (0.0, 0.0), False),
+    ],
+)
+def test_a_motion_continues_another_within_twice_its_largest_step(bent, before, first, continues):
+    motions = {"a_1": lambda: bent(*before), "a_2": lambda: bent([first[0]] * 2, [first[1]] * 2)}
+    assert len(pieces_of_takes(motions)) == continues
+
+
+def test_most_of_three_pairs_spread_over_the_recordings_decide(bent, quadruped):
+    read = []
+
+    def of(names: str, place: float = 0.0):
+        read.append(names)
+        return bent([place + degree for degree in TURN], STILL)
+
+    motions = {f"a_{k:02d}": partial(of, f"a_{k:02d}", 10.0 * k) for k in range(13)}
+    (said,) = pieces_of_takes(motions)
+    assert "13 files, perhaps 1 recording:" in said
+    assert read == ["a_00", "a_01", "a_04", "a_05", "a_08", "a_09"]
+    assert pieces_of_takes(dict([*motions.items()][::2])) == [], "none follows another"
+    elsewhere = partial(of, "", 170.0)
+    assert len(pieces_of_takes({**motions, "a_05": elsewhere})) == 1
+    assert pieces_of_takes(dict([*motions.items()][:2], a_02=elsewhere)) == [], "one of two"
+    other = bent(TURN, STILL)
+    other = Motion(
+        quadruped, np.tile([0.0, 0, 0, 1], (5, quadruped.n_joints, 1)), other.translation, 20.0
+    )
+    assert pieces_of_takes({"a_1": lambda: other, "a_2": motions["a_00"]}) == []
 
 
 def test_neighbours_are_counted_by_the_takes_of_the_training_split():

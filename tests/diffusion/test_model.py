@@ -107,6 +107,19 @@ def test_experts_are_other_models_with_conditions_of_their_own(model, untrained,
     )
     own_style = model.generate(**asked, experts=[(copy, 1.0, "angry")])
     assert same(own_style, model.generate(**asked | {"style": "angry"}))
+    # One with styles of its own has the style that is asked for, if it knows it.
+    other = untrained(seed=4, styles=("angry", "old"))
+    for style in ("old", "old:0.5,angry:0.5"):
+        model.check_controls(experts=[(other, 1.0)])
+        leads = model.generate(**asked | {"style": style}, experts=[(other, 1.0)])
+        assert same(leads, other.generate(**asked | {"style": style}))
+    other = untrained(seed=4, styles=("sad", "calm"))
+    leads = model.generate(**asked, experts=[(other, 1.0)])
+    assert same(leads, other.generate(**QUICK, foot_lock=False))
+    assert same(
+        prior.generate(**asked | {"style": "sad"}, experts=[(other, 1.0)]),
+        other.generate(**asked | {"style": "sad"}),
+    )
     third = model.generate(**asked, experts=[(prior, None), (hearing, None)])
     assert same(third, model.generate(**asked, experts=[(prior, 1 / 3), (hearing, 1 / 3)]))
     early = np.repeat([1.0, 0.0], [20, 25])
@@ -227,19 +240,37 @@ def test_a_speaker_has_a_body_and_steps_of_their_own(untrained, skeleton, tmp_pa
 def test_models_that_do_not_go_together_are_refused(model, untrained):
     other, own = untrained(seed=9), model.normaliser
     scaled = replace(other, normaliser=replace(own, scale=own.scale * 1.5))
+    one = own.scale.clone()
+    one[[3, 4]] *= torch.tensor([1.2, 0.5])
     made, rig = other.representation, other.skeleton
+
+    def with_motion(**changes) -> gk.Model:
+        return replace(other, representation=replace(made, **changes))
+
     renamed = replace(rig, names=("Root", *rig.names[1:]))
     dance = replace(other.noise_config, steps=150, first_beta=0.01, last_beta=0.7)
+    late = replace(other.noise_config, last_beta=0.7)
     for wrong, told in (
         (scaled, r"(?=.*expert 1)(?=.*1\.5)(?=.*moves_like)"),
         (replace(other, representation=replace(made, skeleton=renamed)), "(?=.*expert)(?=.*Root)"),
         (replace(other, fps=20.0), r"(?=.*expert 1)(?=.*\b20\b)(?=.*\b30\b)"),
         (untrained(path=True), "(?=.*expert 1)(?=.*path)"),
         (replace(other, noise_config=dance), "(?=.*100)(?=.*150)"),
+        (replace(other, noise_config=late), r"to 0\.7, .*to 0\.78"),
         (gk.load("demo"), "(?=.*expert 1)(?=.*multires)"),
+        (replace(other, normaliser=replace(own, scale=one)), r"(?=.*another scale)(?=.*0\.5\b)"),
+        (with_motion(scale=made.scale * 1.0002), "another body size"),
+        (with_motion(references=made.references + 1e-4), "mean rotations"),
+        (with_motion(turn_first=True), "released"),
     ):
         with pytest.raises(ModelError, match=told):
-            model.generate(**QUICK, experts=[(wrong, 0.5)])
+            model.check_controls(experts=[(wrong, 0.5)])
+    near = with_motion(scale=made.scale * 1.00005, references=made.references + 5e-7)
+    near = replace(near, normaliser=replace(own, scale=own.scale * 1.00005))
+    model.check_controls(experts=[(near, 0.5)])
+    for experts in ([(near, 0.5), ()], [(near, 0.5), (near, 0.5, "old", 1.0)]):
+        with pytest.raises(ModelError, match="expert 2.*style"):
+            model.check_controls(experts=experts)
     styled = untrained(seed=2, styles=("old",))
     with pytest.raises(ModelError, match="(?=.*unconditional)(?=.*style)"):
         model.check_controls(guidance=1.5, unconditional=styled)
@@ -250,8 +281,8 @@ def test_models_that_do_not_go_together_are_refused(model, untrained):
     assert leads.n_frames == alone.n_frames and not same(leads, alone)
 
 
-def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
-    plain = untrained()
+def test_what_a_model_cannot_do_is_one_clear_error(model, untrained, ears):
+    plain, hearing = untrained(), untrained(conditioner=ears)
     for asked, told in [
         ({"style": "odl"}, "(?=.*odl)(?=.*old)(?=.*angry)"),
         ({"speaker": "ann"}, "(?=.*speaker)(?=.*ann)"),
@@ -270,6 +301,8 @@ def test_what_a_model_cannot_do_is_one_clear_error(model, untrained):
             QUICK | {"guidance": 1.5},
             "(?=.*guidance)(?=.*dropout_style)",
         ),
+        (hearing, QUICK | {"guidance": 1.5}, "(?=.*guidance)(?=.*dropout_condition)"),
+        (plain, QUICK | {"state_guidance": 1.5}, "(?=.*state_guidance=1.5)(?=.*dropout_state)"),
         (plain, {}, "seconds"),
         (broken, QUICK, "NaN"),
     ]:

@@ -215,7 +215,7 @@ def test_the_commands_plan_and_make_arrays_with_workers_and_train(
         trial = Trainer(config, run, device, processes, resume=False, trial=True)
         rates = trial.estimate().rates
     size = sum(np.load(path).nbytes for path in config.arrays_folder.rglob("*.npy"))
-    assert np.dot(rates, (6.5, 5.0)) == pytest.approx(size, rel=0.05)
+    assert np.dot(rates, (6.5, 5.0)) == pytest.approx(size, rel=0.005)
     gesturekit("train", file).ok()
     assert arrays_in(config) == made
     assert gesturekit("train", "--resume", config.out, "--arrays").status == 2

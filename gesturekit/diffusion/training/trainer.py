@@ -328,9 +328,9 @@ class Trainer(BaseTrainer):
         """
         data, conditions = self.data, self.data.conditions
         update = quickest(lambda: float(self._update(0)), 4)
-        phases = max(1, round(data.recorded_fps / self.config.fps))
+        phases = 1 + max(sequence.phase for sequence in data.recordings)
         number = 4 * self.config.fps * phases  # bytes a second, float32
-        variants = 1 + self.config.augmentation.mirror
+        variants = 1 + data.recordings[-1].mirrored
         beside_speech = conditions.width - conditions.columns["speech"].stop
         motion = number * variants * (data.representation.n_features + beside_speech)
         raw = 0.0
