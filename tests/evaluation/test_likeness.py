@@ -23,6 +23,7 @@ from gesturekit.motion import Motion
 from gesturekit.motion.parts import arm_joints, body_joints
 
 FPS, SECONDS = 25.0, 7.0
+TELLING = ("postures and movements", "direction of time", "reach")
 MEASURE = ClipMetrics(ReferenceStatistics(), (MOVEMENT, POOLED), Variants())
 
 
@@ -44,20 +45,25 @@ def measured(
     real: Sequence[Motion],
     made: Sequence[Motion],
     others: Sequence[Motion] = (),
-    take: str = "",
+    takes: str = "",
 ) -> MetricResult:
     """Evaluate clips of the first takes of speaker a beside the rest, and beside speaker b."""
     items = []
     for speaker, motions in (("a", real), ("b", others)):
         for k, motion in enumerate(motions):
             motion.save(path := folder / f"{speaker}{k}.npz")
+            take = takes[k] if takes else path.stem
             items.append(Item(id=path.stem, audio=None, motion=path, duration=motion.duration,
-                              speaker=speaker, take=take or path.stem, split="test"))  # fmt: skip
+                              speaker=speaker, take=take, split="test"))  # fmt: skip
     Manifest(items).save(folder / "corpus.jsonl")
     for k, motion in enumerate(made):
         motion.save(folder / "made" / f"a{k}.npz")
     (model,) = evaluate(folder / "made", folder / "corpus.jsonl", cheap=True, seed=1).models
     return model.metrics["likeness"]
+
+
+def backwards(motion: Motion) -> Motion:
+    return chosen_frames(motion, np.arange(motion.n_frames)[::-1])
 
 
 @cache
@@ -77,7 +83,7 @@ def credits_of(
         return {key: float(np.mean([values[key] for values in found])) for key in keys}
 
     rows, near = (motion_windows(list(motions)).values for motions in (ours, theirs))
-    back = motion_windows([chosen_frames(m, np.arange(m.n_frames)[::-1]) for m in theirs]).values
+    back = motion_windows(list(map(backwards, theirs))).values
     turn = motion_windows(list(theirs), mirrored=True).values
 
     def nearest(others: np.ndarray) -> np.ndarray:
@@ -115,18 +121,18 @@ def mean_of(
 
 def test_clips_and_recordings_are_compared_with_the_same_other_takes(talk, tmp_path):
     """Clips of three of four takes: each two against the other two."""
-    real = [talk(k % 2, 0.05 * k) for k in range(4)]
+    real = [talk(seed, 0.05 * k) for k, seed in enumerate((0, 1, 0, 2))]
     made = [halved(m, arm_joints(m.skeleton))
-            for m in (talk(0, 0.4), talk(1, 0.05), talk(0, 0.1))]  # fmt: skip
+            for m in (backwards(real[3]), backwards(real[3]), talk(0, 0.4))]  # fmt: skip
     # Of a longer take, a piece as long as a clip counts.
-    longer = talk(1, 0.15, seconds=2.4 * SECONDS)
+    longer = talk(2, 0.15, seconds=2.4 * SECONDS)
     assert longer[:175].rotations == pytest.approx(real[3].rotations)
     result = measured(tmp_path, [*real[:3], longer], made)
     (group,) = result.groups
     expected = mean_of(made, real, 2)
     assert (group.value, group.own) == pytest.approx((expected.value, expected.own), rel=1e-6)
     assert group.aspects == pytest.approx(expected.aspects, rel=1e-6)
-    assert all(0.0 < group.aspects[k] < 1.0 for k in ("postures and movements", "rests"))
+    assert all(0.0 < group.aspects[k] < 1.0 for k in TELLING)
     assert group.takes == ("a0", "a1", "a2") and group.name == "a" and not group.pieces
     assert result.ceiling.n == 4 and not result.tested_against_speaker
 
@@ -166,14 +172,20 @@ def test_takes_left_out_and_the_levels_of_likeness(talk, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("clips", "names"), [(1, ["a0 0", "a0 1", "a0 2", "a0 3"]), (3, ["a0 0", "a1 1", "a2 2"])]
+    ("takes", "clips", "names", "count"),
+    [
+        ("a", 1, ["a0 0", "a0 1", "a0 2", "a0 3"], 4),
+        ("aaa", 3, ["a0 0", "a1 1", "a2 2"], 3),
+        ("aab", 2, ["a0 0", "a1 1"], 4),
+    ],
 )
-def test_clips_of_a_single_take_stand_for_takes_and_pieces_of_a_single_clip(
-    talk, tmp_path, clips, names
+def test_clips_stand_for_takes_where_these_are_few_and_pieces_of_a_single_clip(
+    talk, tmp_path, takes, clips, names, count
 ):
-    real = [talk(k, seconds=12.0) for k in range(clips)]
-    result = measured(tmp_path, real, real, take="one")
+    """Of the take without clips, there are two pieces, as of the other one."""
+    real = [talk(k, seconds=24.0 if take == "b" else 12.0) for k, take in enumerate(takes)]
+    result = measured(tmp_path, real, real[:clips], takes=takes)
     (group,) = result.groups
     assert group.pieces and list(group.takes) == names and group.value == 1.0
-    assert result.ceiling.pieces and result.ceiling.n == len(names)
+    assert result.ceiling.pieces and result.ceiling.n == count
     assert result.interval.units == 1 and result.interval.low is None
