@@ -47,6 +47,7 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
         model["label"] = "old"
         model["figures"]["wrist_speed"] |= {"value": 9.0, "low": 8.0, "high": 10.0}
         model["figures"]["cca_global"]["value"] += 0.5
+        model["figures"]["acceleration"] |= {"value": 1e5, "low": 0.0, "high": 1e6}
         del model["figures"]["jerk"]
         model["figures"]["gone"] = {"value": 1.0}
         values["fps"] = 30.0
@@ -54,12 +55,13 @@ def test_each_change_is_a_line_and_models_go_by_label(found, before):
     now, cca = (found.models[0].metrics[k].interval.value for k in ("wrist_speed", "cca_global"))
     lines = list(differences(found, read_results(before(change))))
     for facts in (
-        *(("fps", "30", "15"), ("new", f"4 of {len(found.models[0].metrics)}")),
+        *(("fps", "30", "15"), ("new", f"5 of {len(found.models[0].metrics)}")),
         *(("Wrist speed", "9", f"{now:.1f}", "m/s", "interval"), ("Jerk", "now")),
         *(("CCA, global", f"{cca + 0.5:.2f}", f"{cca:.2f}"), ("gone", "before")),
     ):
         assert sum(all(fact in line for fact in facts) for line in lines) == 1, facts
     assert not any("Reach" in line for line in lines), "it has not changed"
+    assert not any("interval" in line for line in lines if "Acceleration" in line)
     names = ("other", "new", "more")
 
     def rename(values):

@@ -173,6 +173,10 @@ def test_the_interval_of_likeness_is_the_jackknife_over_both_sets_of_takes():
     assert (found.low, found.high) == pytest.approx(tuple(ends), abs=1e-3)
     assert likeness_result([replace(group, value=1.0)], {}, 5).interval.low is None
     assert likeness_result([replace(group, pieces=True)], {}, 5).interval.low is None
+    # A single take to compare with adds nothing.
+    single = likeness_result([replace(group, without_reference=(0.5,))], {}, 5).interval
+    half *= np.sqrt(0.002 / 0.0022)
+    assert single.low == pytest.approx(1 / (1 + np.exp(half - np.log(0.7 / 0.3))), abs=1e-3)
 
 
 def test_a_speaker_whose_takes_have_nothing_in_common_is_not_asked_about():
@@ -306,7 +310,7 @@ def test_models_with_one_verdict_are_told_apart_where_intervals_do_not_overlap()
 
 
 def test_floors_stand_at_the_question_and_again_only_where_a_model_has_others(page_of):
-    floor, other = Level("mean pose", 0.111, None, 0), Level("another speaker", 0.222, None, 0)
+    floor, other = Level("mean pose", 0.111, None, 0), Level("another speaker", 0.222, 0.3, 0)
 
     def model(label: str, *floors: Level, low: float | None = None) -> ModelResult:
         interval = Interval(0.5, low, None if low is None else 0.6, 3, 3, "takes")
@@ -331,6 +335,8 @@ def test_floors_stand_at_the_question_and_again_only_where_a_model_has_others(pa
     head, first, second = rows(model("a", floor), model("b", other, low=0.4))
     assert "0.11" in head and "0.11" not in first and "0.22" in second
     assert "no interval" in first and "0.40 to 0.60" in second
+    # From .222 - .3 at 6 to .222 + .3 at 254.
+    assert all(f'"{x}"' in second for x in (244.9, 6.0, 248.0, 130.0)) and '"84.1"' in first
 
 
 def test_a_broken_body_has_no_score_on_the_page_and_does_not_stretch_the_lines(page_of):

@@ -23,6 +23,8 @@ from gesturekit.evaluation import (
     metric_results,
     whole_set,
 )
+from gesturekit.evaluation.results import GroupLikeness
+from gesturekit.evaluation.statistics.likeness import likeness_result
 
 KEYS = [
     key
@@ -162,6 +164,23 @@ def test_the_best_model_differs_from_every_other_one_on_the_recordings_of_both()
     assert row.best == "near", "the takes of one name are compared"
     row = judged({"far": [*FAR[:4], None, None], "near": NEAR})
     assert row.best is None and row.p is None
+
+
+def test_likenesses_differ_by_the_pseudo_values_of_their_takes():
+    """Six takes of which that of the second model are 5 times the difference without each less."""
+    noise = np.array([0.01, -0.02, 0.015, 0.0, 0.005, -0.01])
+
+    def like(label: str, value: float, without: np.ndarray) -> ModelResult:
+        takes = dict(zip("uvwxyz", (value + without).tolist()))
+        group = GroupLikeness("", tuple(takes), value, 0.9, {}, takes)
+        made = likeness_result([group], {}, 6)
+        return ModelResult(label, Path(label), metrics={"likeness": made})
+
+    for other, best in ((0.5, "near"), (0.79, None)):
+        row = contests([like("far", other, noise[::-1]), like("near", 0.8, noise)])["likeness"]
+        found = stats.ttest_rel(0.8 - 5 * noise, other - 5 * noise[::-1])
+        assert row.best == best and row.distances == pytest.approx({"far": 1 - other, "near": 0.2})
+        assert row.p == pytest.approx(found.pvalue if best else 1.0)
 
 
 def test_models_as_far_off_on_either_side_are_equal():

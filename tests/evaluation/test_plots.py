@@ -61,3 +61,58 @@ def test_speech_is_shown_beside_chance_and_the_recordings_own(drawn):
         assert mark in sync, mark
     assert ([0], [-0.3]) in bc and axes[1].get_ylim()[0] < -0.3 and axes[0].get_ylim()[0] == 0
     assert names(axes[0].xaxis) == ["a", "b"]
+
+
+def shown(drawn, title: str, *models: ModelResult, **recorded) -> list:
+    (axes,) = (axes for name, axes in drawn(evaluated(*models, **recorded)).items()
+               if name.startswith(title))  # fmt: skip
+    return axes
+
+
+def test_movement_is_a_ratio_to_the_recording_with_a_row_for_each_metric(drawn):
+    a = model("a", {"arm_speed": (of(0.3, 0.2, 0.4), 0.5), "jerk": (of(0.001), 1.0)})
+    b = model("b", {"arm_speed": (of(1.0, 0.001, 4.0), 0.5), "jerk": (of(2.0), 1.0)})
+    (axes,) = shown(drawn, "Movement", a, b)
+    rows = names(axes.yaxis)
+    arm, jerk = (next(i for i, name in enumerate(rows) if word in name)
+                   for word in ("Arm", "Jerk"))  # fmt: skip
+    marks, (low, high) = points(axes), axes.get_xlim()
+    # The bars of two models take .7 of a row; what is below .01 is not shown.
+    for mark in (
+        ([0.4, 0.8], [arm - 0.175] * 2), ([0.6], [arm - 0.175]), ([1.0, 1.0], [0, 1]),
+        ([0.01, 8.0], [arm + 0.175] * 2), ([2.0], [arm + 0.175]), ([2.0], [jerk + 0.175]),
+    ):  # fmt: skip
+        assert mark in marks, mark
+    assert not any(y == [jerk - 0.175] for _, y in marks)
+    assert low <= 0.45 and high >= 2.2 and axes.get_ylim() == (1.5, -0.5)
+    assert {"0.5×", "1×", "2×", "5×"} <= {*names(axes.xaxis)}
+
+
+def test_patches_are_shown_recording_by_recording(drawn):
+    found = {
+        "r1": {"coverage": of(40.0, 30.0, 50.0), "local_diversity": of(2.0)},
+        "r0": {"coverage": of(60.0)},
+    }
+    whole = {"coverage": (of(50.0),), "local_diversity": (of(2.0),)}
+    coverage, diversity = shown(drawn, "Patches", model("a", whole, by_recording=found))
+    assert names(coverage.yaxis) == ["r0", "r1"]
+    for mark in (([60.0], [0.0]), ([40.0], [1.0]), ([30.0, 50.0], [1.0, 1.0])):
+        assert mark in points(coverage), mark
+    assert coverage.get_xlim() == (-4, 104) and ([2.0], [1.0]) in points(diversity)
+    assert diversity.get_xlim()[1] > 2.0
+    alone = model("a", whole, by_recording={"r0": found["r0"]})
+    assert not any(title.startswith("Patches") for title in drawn(evaluated(alone)))
+
+
+def test_speeds_are_shown_with_quartiles_and_as_shares(drawn):
+    a = model("a", {}, wrists=np.arange(1, 6) / 10, speeds=SpeedHistogram.of([np.array([0.2])]))
+    recorded = {"wrists": np.arange(5) / 5, "speeds": (0.1, 0.1, 0.3)}
+    (wrists,) = shown(drawn, "Wrist", a, **recorded)
+    for mark in (([0], [0.4]), ([0, 0], [0.2, 0.6]), ([1], [0.3]), ([1, 1], [0.2, 0.4])):
+        assert mark in points(wrists), mark
+    assert names(wrists.xaxis) == ["recording", "a"]
+    (joints,) = shown(drawn, "Joint", a, **recorded)
+    shares = {patch.get_label(): patch.get_data() for patch in joints.patches}
+    assert shares["recording"].values.max() == pytest.approx(200 / 3)
+    assert shares["a"].values.sum() == pytest.approx(100.0)
+    assert shares["a"].edges[-1] == joints.get_xlim()[1] == pytest.approx(100 * a.speeds.top)

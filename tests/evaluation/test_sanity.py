@@ -9,7 +9,7 @@ import soundfile
 
 from audio_features import Wave
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult
+from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult, arm_speed
 from gesturekit.evaluation.made_motion import bad_motion
 from gesturekit.evaluation.report.sanity import (
     conclusion,
@@ -61,13 +61,21 @@ def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_p
 
 
 def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, gesture):
-    for k, (name, seconds) in enumerate((("a", 3.5), ("b", 3.2))):
-        gesture(seconds, 10.0, seed=k).save(tmp_path / f"{name}.npz")
+    recorded = gesture(17.0, 10.0, seed=0)
+    recorded.save(tmp_path / "a.npz")
+    gesture(3.2, 10.0, seed=1).save(tmp_path / "b.npz")
     gesture(2.0, 10.0).save(tmp_path / "short.npz")
     done, left_out = run_sanity(tmp_path)
     recording, *bad = done.models
     assert recording.label == "recording" and {model.label for model in bad} == ALL
     assert all(len(model.clips) == len(recording.clips) for model in bad)
+    # The only one that is held out is cut into two pieces; each has the other as its neighbour.
+    halves = [arm_speed(half).mean() for half in (recorded[:85], recorded[85:])]
+    (swapped,) = (model for model in bad if model.label == "another utterance")
+    for model, order in ((recording, 1), (swapped, -1)):
+        assert [c.pair.name for c in model.clips] == ["a_1", "a_2"]
+        speeds = [c.metrics["arm_speed"] for c in model.clips]
+        assert speeds == pytest.approx(halves[::order], rel=1e-3)
     assert "3 s" in left_out["short"] and done.reference == tmp_path
     (frozen,) = (model for model in bad if model.label == "frozen")
     assert frozen.metrics["near_still"].interval.value == 100.0

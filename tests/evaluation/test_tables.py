@@ -4,6 +4,7 @@ import csv
 import html
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,14 @@ from gesturekit.evaluation import (
     Evaluation,
     Excluded,
     Interval,
+    Level,
     MetricResult,
     ModelResult,
     Pair,
     SpeedHistogram,
     contests,
 )
-from gesturekit.evaluation.report.rows import number
+from gesturekit.evaluation.report.rows import level_in_words, number
 from gesturekit.evaluation.report.text import WRITERS, note_lines, summary_line, terminal_lines
 
 
@@ -80,6 +82,14 @@ def test_numbers_are_nearly_right_and_no_longer_than_their_size_needs(value):
     text = number(value).replace("\u202f", "")
     assert float(text) == pytest.approx(value, rel=0.03)
     assert len(text.strip("-").replace(".", "")) <= max(4, len(f"{abs(value):.0f}"))
+
+
+def test_levels_say_how_many_takes_or_pieces_they_are_of():
+    level = Level("another speaker", 0.4123, 0.0567, 4)
+    assert level_in_words(level) == "another speaker 0.41 ± 0.057 (4 takes)"
+    one = replace(level, spread=None, n=1, pieces=True)
+    assert level_in_words(one) == "another speaker 0.41 (1 piece)"
+    assert level_in_words(replace(one, n=0)) == "another speaker 0.41"
 
 
 def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation, page_of):

@@ -78,7 +78,14 @@ def test_ratings_of_sliders_are_analysed_by_the_same_command(tmp_path, run):
     assert means == {"a": (65, 4), "b": (45, 4), "c": (45, 4)}
     pairs = {(p["a"], p["b"]): (p["mean"], p["counts"]) for p in found["preference"]["pairs"]}
     assert pairs["a", "b"] == (20, [0, 4, 0, 0, 0]) and pairs["b", "c"] == (0, [0, 2, 0, 2, 0])
+    # Means of c by rater are 20 and 70: 25 is their standard error, and t is 12.706.
+    (of_c,) = (s["merit"] for s in found["preference"]["systems"] if s["name"] == "c")
+    assert (of_c["low"], of_c["high"]) == pytest.approx((45 - 317.65, 45 + 317.65), abs=0.01)
     page = report.read_text(encoding="utf-8")
+    cells = [re.findall(r"<t[hd]>([^<]*)", row) for row in re.findall(r"<tr.*?</tr>", page)]
+    assert any(row[:4] == ["b : c", "2", "0", "2"] and row[5] == "+0.00" for row in cells)
+    assert any(row[:4] == ["Pair", "Higher", "Equal", "Lower"] for row in cells)
+    assert any(row[:3] == ["c", "4", "45.00 "] for row in cells)
     assert "&lt;b&gt;,&quot;fine&quot;" in page
     assert "Mean rating" in page and "<b>" not in page
     # Two questions are not mixed.
