@@ -6,6 +6,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 import released
 import torch
@@ -55,6 +56,19 @@ def lists(tmp_path):
 def features(n_frames=90, seed=1):
     rng = np.random.default_rng(seed)
     return (rng.gamma(2.0, [40.0, 120.0, 0.02], (n_frames, 3))).astype(np.float32)
+
+
+def features_of_the_corpus(folder, name, values):
+    """Write features as the corpus has them, and run the README's lines that make csv and npz."""
+    times = pandas.to_timedelta(np.arange(len(values)) / 30, unit="s")
+    table = pandas.DataFrame(values, index=times, columns=FEATURES)
+    table.insert(1, "MFCC_0", 1.0)
+    table.to_pickle(folder / f"{name}.audio29_30fps.pkl")
+    text = (Path(__file__).parents[2] / "recipes/dance_motorica/README.md").read_text()
+    lines = [line.strip() for line in text.splitlines() if line.startswith(("    d", "    numpy"))]
+    assert len(lines) == 3
+    given = {"pandas": pandas, "numpy": np}
+    exec("\n".join(lines).replace("NAME", str(folder / name)), given)
 
 
 def test_the_released_motion_vector_of_a_dance():
@@ -127,19 +141,21 @@ def test_the_command_makes_a_model_that_dances_to_features(gesturekit, tmp_path,
     assert model.styles == STYLES and model.fps == 30.0 and not model.clip_denoised
     # Numbers that the released code gives its network: standardised by the training's scaler.
     test = features(60, seed=2)
-    np.savez(tmp_path / "song.npz", values=test, times=np.arange(60) / 30)
+    features_of_the_corpus(tmp_path, "song", test)
     song = af.Wave(np.zeros(32000, np.float32), 16000, source=str(tmp_path / "song.wav"))
     scaled = (test - rows.mean(axis=0)) / rows.std(axis=0)
     assert_allclose(model.conditions.conditioner(song, 60), scaled, rtol=1e-4, atol=1e-4)
     # The features enter without the sound too, in Python and on the command line.
     controls = {"style": "gLO", "foot_lock": False, "clip_denoised": True, "seed": 1}
-    alone = model.generate(tmp_path / "song.npz", **controls)
-    assert alone.n_frames == 60
-    assert_allclose(alone.rotations, model.generate(song, **controls).rotations, atol=1e-6)
-    asked = ("render", tmp_path / "song.npz", "--model", tmp_path / "model", "--style", "gLO")
+    of_sound = model.generate(song, **controls)
+    for suffix in (".npz", ".csv"):
+        alone = model.generate((tmp_path / "song").with_suffix(suffix), **controls)
+        assert alone.n_frames == 60
+        assert_allclose(alone.rotations, of_sound.rotations, atol=1e-6)
+    asked = ("render", tmp_path / "song.csv", "--model", tmp_path / "model", "--style", "gLO")
     gesturekit(*asked, "--steps", 2, "--clip-denoised", "--out", tmp_path / "made").ok()
     assert gk.Motion.load(tmp_path / "made" / "song.bvh").n_frames == 60
-    demo = ("render", tmp_path / "song.npz", "--model", "demo", "--out", tmp_path / "none")
+    demo = ("render", tmp_path / "song.csv", "--model", "demo", "--out", tmp_path / "none")
     gesturekit(*demo).fails(1, "give the sound")
     moved = model.generate(song, style="gLO", foot_lock=False, clip_denoised=True)
     assert moved.n_frames == 60 and set(moved.skeleton.names) == set(motion.skeleton.names)
