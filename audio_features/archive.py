@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -52,6 +53,23 @@ def parse_json(content: bytes, where: str, error: type[Exception]) -> Any:
         return json.loads(content)
     except (ValueError, RecursionError) as reason:
         raise error(f"{where}: not readable JSON: {str(reason)[:200]}") from None
+
+
+def read_number_table(path: Path, error: type[Exception]) -> np.ndarray:
+    """Return the numbers (T, 1 + D) of a CSV file below its header: seconds, then D columns.
+
+    Raises:
+        Exception: of class `error`; the file cannot be read, or a line is no row of numbers.
+    """
+    content = read_bytes(path, ALLOWANCE, error)
+    try:
+        if b"\n" not in content.strip():
+            raise ValueError("no rows")
+        return np.loadtxt(io.BytesIO(content), delimiter=",", skiprows=1, comments=None, ndmin=2)
+    except ValueError as reason:
+        raise error(
+            f"{path}: expected a header, and rows of seconds and numbers: {reason}"
+        ) from None
 
 
 class Archive:

@@ -13,7 +13,7 @@ import soundfile
 
 from audio_features.errors import FeatureError, WeightsError, check_values
 from audio_features.track import NO_NUMBER, FeatureTrack, bad_value
-from audio_features.wave import Wave
+from audio_features.wave import Wave, stands_for_sound
 
 SLACK = 0.5
 """Seconds by which features may end before the sound, in addition to two of their frames."""
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 class Files:
-    """Features from a file for each sound: npz of `values` and `times`, or npy with a rate.
+    """Features from a file for each sound: npz or csv (`FeatureTrack.load`), or npy with a rate.
 
     The file of SOUND.wav is SOUND with the suffix, beside the sound or in a folder. A folder has
     the structure of the folder of sounds, or holds all files side by side. Values (T, D) are taken
@@ -65,14 +65,14 @@ class Files:
     ) -> None:
         suffix = (".npz" if rate is None else ".npy") if suffix is None else suffix
         is_name = isinstance(suffix, str) and Path(f"a{suffix}").name == f"a{suffix}"
-        is_kind = is_name and suffix.lower().endswith((".npz", ".npy")) and suffix[0] == "."
+        is_kind = is_name and suffix.lower().endswith((".npz", ".csv", ".npy")) and suffix[0] == "."
         self._is_npy = is_kind and suffix.lower().endswith(".npy")
         is_rate = isinstance(rate, int | float) and 1e-3 <= rate <= 1e6
         is_time = isinstance(start, int | float) and math.isfinite(start)
         is_size = isinstance(dim, int) and 1 <= dim <= _MOST_COLUMNS
         values = (
             ("dim", dim, is_size, "the number of columns (dim: 64, files:64)"),
-            ("suffix", suffix, is_kind, ".npz, .npy or .NAME.npy"),
+            ("suffix", suffix, is_kind, ".npz, .csv, .npy or .NAME.npy"),
             ("rate", rate, is_rate or not self._is_npy, f"rows per second of {suffix} (--rate 50)"),
             ("start", start, is_time, "seconds"),
             ("centred", centred, isinstance(centred, bool), "true or false"),
@@ -92,8 +92,11 @@ class Files:
         """Return the file of a sound; None if there is none.
 
         In a folder, of the files that fit, the one with the longest common path counts: of
-        data/s1/talk.wav first s1/talk.npy, then talk.npy.
+        data/s1/talk.wav first s1/talk.npy, then talk.npy. A file of features in place of the sound
+        (`stands_for_sound`) is itself the file, unless the suffix has a name (.NAME.npz) or is npy.
         """
+        if stands_for_sound(sound) and self.suffix.lower() in (".npz", ".csv"):
+            return Path(sound)
         beside = Path(os.path.abspath(sound)).with_suffix(self.suffix)  # noqa: PTH100 (keeps links)
         if self.folder is None:
             return beside if beside.is_file() else None

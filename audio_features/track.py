@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from audio_features.archive import open_archive
+from audio_features.archive import open_archive, read_number_table
 from audio_features.atomic import atomic_write
 from audio_features.errors import FeatureError
 from audio_features.wave import exact_rate
@@ -144,17 +144,22 @@ class FeatureTrack:
     def load(cls, path: str | os.PathLike[str]) -> FeatureTrack:
         """Read a feature file; `spec` may be missing, in files that other programs wrote.
 
+        A csv has a header, and rows of seconds and values.
+
         Raises FeatureError for other files and newer formats.
         """
         name = os.fspath(path)
         try:
+            if name.lower().endswith(".csv"):
+                rows = read_number_table(Path(name), FeatureError)
+                return cls(rows[:, 1:], rows[:, 0])
             with open_archive(name, FeatureError) as archive:
                 values, times = archive.numbers("values", np.float32), archive.numbers("times")
                 spec = json.loads("".join(archive.texts("spec"))) if "spec" in archive else {}
         except (ValueError, RecursionError) as error:
             reason = str(error).removeprefix(f"{Path(name)}: ")
             how = f"{reason}: make it again with `gesturekit features`"
-            raise FeatureError(f"{name}: not a feature file (npz): {how}") from error
+            raise FeatureError(f"{name}: not a feature file (npz, csv): {how}") from error
         if not isinstance(spec, dict):
             raise FeatureError(f"{name}: spec is {type(spec).__name__}, expected a JSON object")
         number, names = spec.pop("format", FORMAT), spec.pop("names", ())

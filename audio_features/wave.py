@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from numbers import Real
+from pathlib import Path
 
 import numpy as np
 import soxr
 from numpy.typing import ArrayLike
 
-from audio_features.archive import open_archive
+from audio_features.archive import open_archive, read_number_table
 from audio_features.errors import AudioError
 from audio_features.sound_file import (
     CANCELLING,
@@ -42,6 +43,11 @@ _DC_OFFSET = 0.01
 _BLOCK = 1 << 20  # samples processed at a time, which bounds the memory for long files
 
 
+def stands_for_sound(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file has features in place of sound: npz or csv (`FeatureTrack.load`)."""
+    return os.fspath(path).lower().endswith((".npz", ".csv"))
+
+
 def exact_rate(fps: float | Fraction) -> Fraction:
     """Convert a frame rate to a fraction, so that frame counts are exact.
 
@@ -60,8 +66,6 @@ def exact_rate(fps: float | Fraction) -> Fraction:
     return rate
 
 
-FEATURES = ".npz"
-"""Suffix of feature files, which stand for their sounds."""
 _SILENCE_RATE = 16000
 
 
@@ -134,8 +138,8 @@ class Wave:
     ) -> Wave:
         """Read a sound file: wav, flac, ogg (vorbis, opus), mp3, aiff, au, NIST SPHERE.
 
-        An npz of features (`FeatureTrack`) stands for its sound: it gives silence of its length,
-        for which `Files` takes its features.
+        A file of features (`stands_for_sound`) gives silence of its length, for which `Files` takes
+        its features.
 
         Args:
             path: the file; any sample rate, any number of channels.
@@ -155,7 +159,7 @@ class Wave:
         accepted silently; only an MP3 may hold no length.
         """
         name = os.fspath(path)
-        if name.lower().endswith(FEATURES):
+        if stands_for_sound(name):
             return _silence_of(name, max_seconds).slice(start, duration)
         with open_sound(name) as file:
             rate = checked_rate(file.samplerate, name)
@@ -364,8 +368,11 @@ def _segment(
 
 def _silence_of(path: str, max_seconds: float) -> Wave:
     """Return silence as long as the features in a file; raise AudioError for another file."""
-    with open_archive(path, AudioError) as archive:
-        times = archive.numbers("times").ravel()
+    if path.lower().endswith(".csv"):
+        times = read_number_table(Path(path), AudioError)[:, 0]
+    else:
+        with open_archive(path, AudioError) as archive:
+            times = archive.numbers("times").ravel()
     seconds = float(times[-1] + np.median(np.diff(times))) if len(times) > 1 else 0.0
     if not 0 < seconds <= max_seconds:
         raise AudioError(

@@ -31,11 +31,13 @@ def main() -> None:
     parser.add_argument("wav", type=Path)
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--clip-denoised", action="store_true", help="as generate, raw otherwise")
     asked = parser.parse_args()
     count = 4 if asked.quick else asked.seeds
     model, wave = gk.load(asked.model), af.Wave.load(asked.wav).slice(0.0, asked.seconds)
 
     def motions(**controls: object) -> list[gk.Motion]:
+        controls["clip_denoised"] = asked.clip_denoised
         return [model.generate(wave, seed=seed, raw=True, **controls) for seed in range(count)]
 
     measures: dict[str, Callable[[gk.Motion], float]] = {

@@ -19,7 +19,7 @@ from threadpoolctl import ThreadpoolController
 
 import audio_features as af
 from audio_features.track import Method
-from audio_features.wave import FEATURES
+from audio_features.wave import stands_for_sound
 from audio_features.words import takes_words
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
@@ -230,11 +230,11 @@ class SpeechConditioner:
             vad: whether to replace sound without voice by silence; by default as in training.
         """
         name, vad = wave.source or "the speech", self.vad if vad is None else vad
-        stands_for_sound = name.lower().endswith(FEATURES)
-        if stands_for_sound and len(self.files) < len(parts_of(self.extractor)):
+        is_features = stands_for_sound(name)
+        if is_features and len(self.files) < len(parts_of(self.extractor)):
             raise ModelError(f"{name}: features, but this model computes its own: give the sound")
         speech = af.speech_only(wave) if vad else wave
-        if wave.is_silent and not stands_for_sound:
+        if wave.is_silent and not is_features:
             log.warning("%s: silent; the motion will be idle", name)
         elif speech.is_silent and not wave.is_silent:
             text = "no voice found: the motion will be idle; vad=False (--no-vad) follows it"

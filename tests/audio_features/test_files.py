@@ -61,6 +61,38 @@ def test_an_npz_has_times_of_its_own(talk):
     np.testing.assert_allclose(track.at([0.0, 1.5, 4.0]).values[:, 1], [2.0, 5.0, 10.0], rtol=1e-6)
 
 
+def test_a_csv_has_seconds_and_columns_and_may_stand_for_the_sound(talk):
+    """Beside the sound, or in its place: then it is 8 s long, 7.5 s and the step of 0.5 s."""
+    file = talk.with_suffix(".csv")
+    rows = [f"{k / 2},{k},{-k * 1e-3}" for k in range(16)]
+    file.write_text("seconds,Chroma,Flux\n" + "\n".join(rows))
+    beside = af.Files(2, ".csv").extract(af.Wave.load(talk, start=1.0))
+    np.testing.assert_allclose(beside.at([0.25]).values, [[2.5, -2.5e-3]], rtol=1e-6)
+    wave = af.Wave.load(file)
+    assert wave.duration == 8.0 and wave.is_silent
+    alone = af.Files(2, folder=talk.parent).extract(af.Wave.load(file, start=1.0, duration=2.0))
+    np.testing.assert_allclose(alone.at([0.25]).values, [[2.5, -2.5e-3]], rtol=1e-6)
+    assert len(alone.times) <= 6  # of 16
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("seconds,a\n", "no rows"),
+        ("seconds,a\n0,0 days\n", "0 days"),
+        ("seconds,a\n0,1\n1,2,3\n", "row 2"),
+        ("seconds,a\n1,1\n0,2\n", "ascend"),
+        ("seconds,a\n0,1\n1,nan\n", "nan"),
+    ],
+)
+def test_a_wrong_csv_is_one_error(tmp_path, text, complaint):
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(af.FeatureError, match=f"x.csv.*{complaint}"):
+        af.FeatureTrack.load(tmp_path / "x.csv")
+    with pytest.raises((af.FeatureError, af.AudioError), match="x.csv"):
+        af.Files(1).extract(af.Wave.load(tmp_path / "x.csv"))
+
+
 def test_the_nearest_file_in_a_folder_counts(talk, tmp_path):
     folder, wave = tmp_path / "own", af.Wave.load(talk)
     folder.mkdir()

@@ -145,7 +145,7 @@ def _conformer(state: dict[str, Tensor], name: str, x: Tensor, dilation: int, li
 
 def settings(scalers: dict[str, Any], steps: int) -> dict[str, Any]:
     """Return the hyperparameters of a checkpoint."""
-    network = {"num_blocks": LAYERS, "num_heads": HEADS, "activation": "relu", "dropout": 0.1}
+    network = {"num_blocks": LAYERS, "num_heads": HEADS, "activation": "relu", "dropout": 0.15}
     network |= {"norm": "LN", "d_ff": HIDDEN, "seq_len": SEGMENT, "use_preln": False}
     network |= {"bias": False, "dilation_cycle": list(DILATIONS)}
     diffusion = {"name": "tisa", "residual_layers": BLOCKS, "residual_channels": CHANNELS}

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rigs import turned_at_root
+from rigs import at_rest, turned_at_root
 
 from gesturekit import Motion
 from gesturekit.diffusion import NoiseConfig
@@ -64,6 +64,49 @@ def test_a_model_that_stands_still_is_eased_out_of_a_clip_and_into_the_next(mode
     path = RootPath.of(made)
     steps = np.linalg.norm(np.diff(path.positions, axis=0), axis=1)
     assert steps[45:119].max() < 3 * 0.5 / 75 and np.abs(np.diff(path.headings)).max() < 0.05
+
+
+def walking(model, n_frames, place, angle, speed):
+    """A body at rest that goes straight ahead by so many metres a frame."""
+    motion = at_rest(model.representation.skeleton, n_frames, (place[0], 1.0, place[1]))
+    ahead = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    motion = turned_at_root(motion, quaternion_from_rotation_vector(np.array([0.0, angle, 0.0])))
+    ways = speed * np.arange(n_frames)[:, None] * ahead
+    return replace(motion, translation=motion.translation + ways)
+
+
+def blended_path(model, clips, free):
+    given = InbetweenClips(clips, model.representation, 30.0)
+    blended = InbetweenConstraint(model, given, free.n_frames).blended(free)
+    return blended, model.representation.path_of(blended)
+
+
+def test_between_two_places_the_body_takes_the_short_turn(model):
+    """Nothing moves but the root, in a gap of 3 frames: shares 5/32, 1/2 and 27/32."""
+    clips = {0.2: walking(model, 5, (1.0, 0.0), 3.0, 0.0)}  # frames 6 to 10, and from 14 on
+    clips[14 / 30] = walking(model, 4, (1.4, 0.8), 3.2 - 2 * np.pi, 0.0)
+    blended, path = blended_path(model, clips, walking(model, 20, (7.0, 7.0), -1.0, 0.0))
+    share = np.array([0.0] * 11 + [5 / 32, 0.5, 27 / 32] + [1.0] * 6)
+    np.testing.assert_allclose(path.headings % (2 * np.pi), 3 + 0.2 * share, atol=1e-9)
+    np.testing.assert_allclose(path.positions[:, 0], 1 + 0.4 * share, atol=1e-9)
+    np.testing.assert_allclose(path.positions[:, 1], 0.8 * share, atol=1e-9)
+
+
+def test_a_walk_before_and_after_clips_leads_to_them_and_on(model):
+    """Everything goes at 2 cm a frame; outside of the clips, the free walk is turned and moved."""
+    clips = {0.5: walking(model, 5, (3.0, -1.0), np.pi / 2, 0.02)}  # frames 15 to 19
+    clips[1.5] = walking(model, 5, (3.5, -1.6), np.pi, 0.02)  # frames 45 to 49
+    blended, path = blended_path(model, clips, walking(model, 60, (0.0, 0.0), 0.3, 0.02))
+    ahead = 0.02 * np.arange(-15, 5)
+    before = np.stack([3 + ahead, np.full(20, -1.0)], axis=1)
+    np.testing.assert_allclose(path.positions[:20], before, atol=1e-9)
+    after = np.stack([np.full(15, 3.5), -1.6 - 0.02 * np.arange(15)], axis=1)
+    np.testing.assert_allclose(path.positions[45:], after, atol=1e-9)
+    np.testing.assert_allclose(path.headings[[0, 19, 45, 59]], np.pi / 2 * np.array([1, 1, 2, 2]))
+    assert (np.diff(path.headings[19:46]) > 0).all(), "through the quarter turn"
+    steps = np.diff(path.positions[19:46], axis=0)
+    assert np.linalg.norm(steps, axis=1).max() < 0.05
+    np.testing.assert_allclose(blended.positions()[:, 0, 1], 1.0, atol=1e-9)
 
 
 def test_beside_kept_frames_third_differences_are_small():

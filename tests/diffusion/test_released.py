@@ -6,6 +6,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 import released
 import torch
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import audio_features as af
 import gesturekit as gk
+from gesturekit.diffusion.config import NetworkConfig
 from gesturekit.diffusion.noise_schedule import sample
 from gesturekit.diffusion.released import DANCE_COLUMNS, ReleasedVector, convert_checkpoint
 
@@ -57,6 +59,19 @@ def features(n_frames=90, seed=1):
     return (rng.gamma(2.0, [40.0, 120.0, 0.02], (n_frames, 3))).astype(np.float32)
 
 
+def features_of_the_corpus(folder, name, values):
+    """Write features as the corpus has them, and run the README's lines that make csv and npz."""
+    times = pandas.to_timedelta(np.arange(len(values)) / 30, unit="s")
+    table = pandas.DataFrame(values, index=times, columns=FEATURES)
+    table.insert(1, "MFCC_0", 1.0)
+    table.to_pickle(folder / f"{name}.audio29_30fps.pkl")
+    text = (Path(__file__).parents[2] / "recipes/dance_motorica/README.md").read_text()
+    lines = [line.strip() for line in text.splitlines() if line.startswith(("    d", "    numpy"))]
+    assert len(lines) == 3
+    given = {"pandas": pandas, "numpy": np}
+    exec("\n".join(lines).replace("NAME", str(folder / name)), given)
+
+
 def test_the_released_motion_vector_of_a_dance():
     motion = dance(120)
     vector = ReleasedVector.on(motion)
@@ -86,6 +101,10 @@ def test_each_step_is_that_of_the_released_sampler(tmp_path, has_features, style
     )
     names = (STYLES if styles else (), FEATURES if has_features else ())
     model = convert_checkpoint(path, motion, *names)
+    assert model.network.config == NetworkConfig(
+        blocks=3, layers=2, channels=32, embedding=24, heads=4, feedforward=48,
+        dilations=(0, 1, 2), kernels=21, farthest_view=75, dropout=0.15, step_angles="float32",
+    )  # fmt: skip
     rng, n_frames = torch.Generator().manual_seed(5), 40
     condition = torch.randn((1, n_frames, model.conditions.width), generator=rng)
     noise = [torch.randn((1, n_frames, 61), generator=rng) for _ in range(steps)]
@@ -125,21 +144,27 @@ def test_the_command_makes_a_model_that_dances_to_features(gesturekit, tmp_path,
     assert "Chroma_0, Spectralflux_0, Beatactivation_0" in card
     model = gk.load(tmp_path / "model")
     assert model.styles == STYLES and model.fps == 30.0 and not model.clip_denoised
+    # The folder has the released definition of the root's steps, the last three columns.
+    read, vector = gk.Motion.load(tmp_path / "rig.bvh"), ReleasedVector.on(motion)
+    theirs = published_vector(read)[:, vector.order] * vector.units
+    assert_allclose(model.representation.encode(read)[:, -3:], theirs[:, -3:], rtol=0, atol=1e-5)
     # Numbers that the released code gives its network: standardised by the training's scaler.
     test = features(60, seed=2)
-    np.savez(tmp_path / "song.npz", values=test, times=np.arange(60) / 30)
+    features_of_the_corpus(tmp_path, "song", test)
     song = af.Wave(np.zeros(32000, np.float32), 16000, source=str(tmp_path / "song.wav"))
     scaled = (test - rows.mean(axis=0)) / rows.std(axis=0)
     assert_allclose(model.conditions.conditioner(song, 60), scaled, rtol=1e-4, atol=1e-4)
     # The features enter without the sound too, in Python and on the command line.
     controls = {"style": "gLO", "foot_lock": False, "clip_denoised": True, "seed": 1}
-    alone = model.generate(tmp_path / "song.npz", **controls)
-    assert alone.n_frames == 60
-    assert_allclose(alone.rotations, model.generate(song, **controls).rotations, atol=1e-6)
-    asked = ("render", tmp_path / "song.npz", "--model", tmp_path / "model", "--style", "gLO")
+    of_sound = model.generate(song, **controls)
+    for suffix in (".npz", ".csv"):
+        alone = model.generate((tmp_path / "song").with_suffix(suffix), **controls)
+        assert alone.n_frames == 60
+        assert_allclose(alone.rotations, of_sound.rotations, atol=1e-6)
+    asked = ("render", tmp_path / "song.csv", "--model", tmp_path / "model", "--style", "gLO")
     gesturekit(*asked, "--steps", 2, "--clip-denoised", "--out", tmp_path / "made").ok()
     assert gk.Motion.load(tmp_path / "made" / "song.bvh").n_frames == 60
-    demo = ("render", tmp_path / "song.npz", "--model", "demo", "--out", tmp_path / "none")
+    demo = ("render", tmp_path / "song.csv", "--model", "demo", "--out", tmp_path / "none")
     gesturekit(*demo).fails(1, "give the sound")
     moved = model.generate(song, style="gLO", foot_lock=False, clip_denoised=True)
     assert moved.n_frames == 60 and set(moved.skeleton.names) == set(motion.skeleton.names)
@@ -199,6 +224,20 @@ def test_a_checkpoint_that_claims_more_than_it_has(
     assert done.err.count("\n") == 1 and not (tmp_path / "model").exists()
 
 
+def test_a_zip_that_claims_more_than_it_has_and_other_pickles(gesturekit, tmp_path, lists):
+    path = tmp_path / "x.ckpt"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("x/data.pkl", b"}.")
+        archive.filelist[0].file_size = archive.filelist[0].compress_size = 1 << 40
+    gesturekit("convert-checkpoint", path, *lists).fails(2, "claim more bytes than the file has")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("x/data.pkl", b"}.")
+        archive.writestr("y/data.pkl", b"}.")
+    gesturekit("convert-checkpoint", path, *lists).fails(2, "not one data.pkl")
+    torch.save({"when": datetime.date(2023, 9, 20)}, path, pickle_protocol=4)
+    gesturekit("convert-checkpoint", path, *lists).fails(2, "newer protocol than torch writes")
+
+
 def test_other_files_and_wrong_lists(gesturekit, tmp_path, lists):
     path = tmp_path / "x.ckpt"
     gesturekit("convert-checkpoint", path, *lists).fails(2, "no such file")
@@ -213,7 +252,24 @@ def test_other_files_and_wrong_lists(gesturekit, tmp_path, lists):
     (tmp_path / "styles.txt").write_text("\n".join(STYLES[1:]))
     gesturekit("convert-checkpoint", path, *lists).fails(2, "8 styles; 7 names")
     state = torch.load(path, weights_only=False)
-    state["hyper_parameters"]["Diffusion"]["args"]["tisa"]["seq_len"] = 120
-    torch.save(state, path)
+    network = state["hyper_parameters"]["Diffusion"]["args"]["tisa"]
     (tmp_path / "styles.txt").write_text("\n".join(STYLES))
-    gesturekit("convert-checkpoint", path, *lists).fails(2, "slopes")
+    for name, value, says in (("use_preln", True, "use_preln is True"), ("seq_len", 120, "slopes")):
+        own = network | {name: value}
+        state["hyper_parameters"]["Diffusion"]["args"]["tisa"] = own
+        torch.save(state, path)
+        gesturekit("convert-checkpoint", path, *lists).fails(2, says)
+    (tmp_path / "columns.txt").write_text("\n".join(("Knee_Yposition", *DANCE_COLUMNS[:-1])))
+    columns = ("--columns", tmp_path / "columns.txt")
+    done = gesturekit("convert-checkpoint", path, *lists, *columns)
+    done.fails(2, "Knee_Yposition, reference_dYrotation: expected")
+
+
+def test_the_frame_rate_is_in_the_name_of_the_training_data(tmp_path):
+    path = tmp_path / "x.ckpt"
+    released.write_checkpoint(path, published_vector(dance()), None, styles=False, steps=8)
+    state = torch.load(path, weights_only=False)
+    for name, fps in (("expmap_20fps", 20.0), ("expmap_100fps", 100.0), ("expmap", 30.0)):
+        state["hyper_parameters"]["Data"]["output_modality"] = name
+        torch.save(state, path)
+        assert convert_checkpoint(path, dance()).fps == fps

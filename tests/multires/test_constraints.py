@@ -29,7 +29,7 @@ from gesturekit.multires.keyframes import (
     root_through_keyframes,
 )
 from gesturekit.multires.motion_vector import fastest_second, turned, turned_plane
-from gesturekit.training.clips import InbetweenClips
+from gesturekit.training.clips import InbetweenClips, mixed_motions
 
 FPS = 25.0
 HAND = "LeftHand"
@@ -323,6 +323,42 @@ def test_clips_are_given_back_with_what_is_not_modelled_blended_to_them(represen
     assert (share[25:30] > 0.5).all(), "between the clips"
     np.testing.assert_allclose(made.face.values[:, 4], 1 + 2 * share, atol=1e-6)
     assert (motion.face.values == 1).all(), "the motion itself does not change"
+
+
+def test_a_hand_beside_a_clip_is_not_blended_to_the_clip_before(representation):
+    """Clips at 0.8 and -0.4 rad with one frame between them: after both, no angle is above 0."""
+    motion = hand_at(posed(representation, 40), 0.0)
+    clips = {0.4: hand_at(posed(representation, 5), 0.8)}  # frames 10 to 14
+    clips[16 / FPS] = hand_at(posed(representation, 2), -0.4)  # 16 and 17
+    made = InbetweenClips(clips, representation, FPS).restored(motion)
+    q = made.rotations[:, motion.skeleton.index(HAND)]
+    angle = 2 * np.arctan2(q[:, 2], q[:, 3])
+    x = np.arange(9, 0, -1) / 10  # the blend takes 10 frames
+    fall = x * x * (3 - 2 * x)
+    np.testing.assert_allclose(angle[18:27], -0.4 * fall, atol=1e-6)
+    np.testing.assert_allclose(angle[1:10], 0.8 * fall[::-1], atol=1e-6)
+    np.testing.assert_allclose(angle[[0, 27, 39]], 0, atol=1e-6)
+    assert -0.4 < angle[15] < 0.8
+
+
+def test_weights_beside_clips_and_the_mixture_that_they_give(representation):
+    """At 10 fps the blend takes 4 frames: shares 27/32, 1/2, 5/32."""
+    own = replace(posed(representation, 2), fps=10.0)
+    clips = InbetweenClips({0.2: own, 0.6: own, 1.5: own}, representation, 10.0)
+    a, b, c = 27 / 32, 1 / 2, 5 / 32
+    given = clips.given(16 + 2)
+    np.testing.assert_allclose(given, [b, a, 1, 1, a, a, 1, 1, a, b, c, 0, c, b, a, 1, 1, a])
+    locked = posed(representation, 3, (0.0, 0.0, 0.0))
+    motion = turned_at_root(posed(representation, 3, (2.0, 2.0, 2.0)), about_y(0.8))
+    mixed = mixed_motions(locked, motion, np.array([0.0, 0.25, 1.0]))
+    np.testing.assert_allclose(mixed.translation[:, 0], [0.0, 0.5, 2.0])
+    np.testing.assert_allclose(heading_of(mixed), [0.0, 0.2, 0.8], atol=1e-9)
+    np.testing.assert_array_equal(mixed.rotations[2], motion.rotations[2])
+    np.testing.assert_array_equal(mixed.rotations[0], locked.rotations[0])
+
+
+def heading_of(motion: Motion) -> np.ndarray:
+    return 2 * np.arctan2(motion.rotations[:, 0, 1], motion.rotations[:, 0, 3])
 
 
 def constrained(representation, normaliser, clips, n_frames: int, margin: int = 0, level: int = 2):
