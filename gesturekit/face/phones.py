@@ -103,7 +103,9 @@ def _aligned(pocketsphinx: Any, speech: Wave, transcript: str) -> list[Phone]:
         reason = "has no English words"
     elif seconds > _ALIGNED:
         reason = f"is for {seconds:.0f} s of sound, and at most {_ALIGNED} s can be aligned"
-    elif len(words) <= 10 + _FASTEST * seconds:
+    elif len(words) > 10 + _FASTEST * seconds:
+        reason = f"has {len(words)} words for {seconds:.1f} s of sound"
+    else:
         decoder = pocketsphinx.Decoder(lm=None, loglevel="FATAL")
         unknown = [word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None]
         for word in unknown:
