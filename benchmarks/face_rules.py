@@ -79,8 +79,8 @@ def spoken(voice: str) -> list[tuple[af.Wave, list[tuple[str, float, float]]]]:
     return result
 
 
-def lips(voice: str, method: str, told: bool, snr: float | None) -> str:
-    """Return how often lips are closed at p, b and m, in vowels, and in pauses."""
+def lips(voice: str, method: str, told: bool, snr: float | None) -> dict[str, tuple[float, int]]:
+    """Return how often lips are closed at p, b and m, in vowels and in pauses, and of how many."""
     counts = {"p, b, m": [], "vowels": [], "pauses": []}
     for (wave, phones), text in zip(spoken(voice), SENTENCES, strict=True):
         if snr is not None:
@@ -101,7 +101,7 @@ def lips(voice: str, method: str, told: bool, snr: float | None) -> str:
             middle = opening[(times >= start + 0.15) & (times < end - 0.1)] <= CLOSED
             if name.startswith("_"):
                 counts["pauses"] += middle.tolist()
-    return ", ".join(f"{name} {np.mean(v):.0%} of {len(v)}" for name, v in counts.items())
+    return {name: (float(np.mean(flags)), len(flags)) for name, flags in counts.items()}
 
 
 def correlations(wave: af.Wave, jaw: np.ndarray, method: str) -> tuple[np.ndarray, float]:

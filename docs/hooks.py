@@ -28,6 +28,7 @@ PACKAGES = (
     "gesturekit.evaluation",
     "gesturekit.study",
     "gesturekit.postprocess",
+    "gesturekit.face",
     "gesturekit.viewer",
     "gesturekit.multires",
     "gesturekit.inspection",

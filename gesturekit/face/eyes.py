@@ -20,7 +20,7 @@ RATE = 100
 """Values per second."""
 _GAP, _SPREAD = 3.6, 0.5
 """Mean seconds between blinks, and standard deviation of their logarithm."""
-_PAUSE, _SOON = 0.15, 1.5
+_PAUSE, _SOON = 0.25, 1.5
 """Seconds of silence that are a pause, and before a blink is due in which a pause moves it."""
 _CLOSING, _CLOSED, _OPENING = 0.08, 0.03, 0.17
 _FIXATION, _SHORTEST = 1.4, 0.25
