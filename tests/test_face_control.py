@@ -137,8 +137,9 @@ def test_render_finds_transcripts_beside_the_sounds(gesturekit, speech, tmp_path
     assert is_of("part", None, start=1.0, duration=1.0), "the text is of the whole sound"
     assert is_of("words", "to show you how", start=1.0, duration=1.0)
     assert is_of("own", "Hello")
-    gesturekit(*what, speech / "a.wav", "--transcript", TEXT, "--existing", "replace").ok()
-    assert is_of("a", TEXT)
+    both = (speech / "a.wav", tmp_path / "list.jsonl")
+    gesturekit(*what, *both, "--transcript", TEXT, "--existing", "replace").ok()
+    assert is_of("a", TEXT) and is_of("own", "Hello")
 
 
 def test_the_demo_has_a_face(gesturekit, tmp_path):
