@@ -24,6 +24,7 @@ PACKAGES = (
     "gesturekit.motion.parts",
     "gesturekit.motion.retarget",
     "gesturekit.formats",
+    "gesturekit.face",
     "gesturekit.corpus",
     "gesturekit.evaluation",
     "gesturekit.study",

@@ -90,16 +90,15 @@ def task_words(task: Task) -> Path | None:
 def task_transcript(task: Task) -> str | None:
     """Return the text that is spoken in a task's interval of its sound, if it is known.
 
-    It is the task's or its item's own, that of the words within the interval (`task_words`), or
-    that of NAME.txt beside a sound that is used whole.
+    It is its item's own, that of the words within the interval (`task_words`), or that of NAME.txt
+    beside a sound that is used whole.
 
     Raises:
         AudioFeaturesError: the words or the text cannot be read.
     """
     item, more = task.more.get("item"), task.more
-    text: str | None = more.get("transcript") if item is None else item.text
-    if text is not None or task.path is None:
-        return text
+    if task.path is None or (item is not None and item.text is not None):
+        return item and item.text
     start = more.get("start", 0.0) if item is None else item.audio_start
     seconds = more.get("seconds", math.inf) if item is None else item.duration
     if (words := task_words(task)) is not None:

@@ -167,9 +167,11 @@ class Renderer(Processor):
         return {name: value for name, value in controls.items() if name not in self.controls}
 
     def _transcript(self, task: Task) -> str | None:
-        """Return the transcript of a task for its face, if it is needed and none is given."""
-        needed = self.controls.get("face") == "phones" and "transcript" not in self.controls
-        return task_transcript(task) if needed and task.path is not None else None
+        """Return the transcript of a task for its face, if it is needed and known."""
+        if self.controls.get("face") != "phones":
+            return None
+        given = task.more.get("transcript", self.controls.get("transcript"))
+        return task_transcript(task) if given is None else given
 
     def has_speaker(self, task: Task) -> bool:
         """Return whether a speaker is chosen for a task, or the model has none to choose from."""

@@ -52,6 +52,7 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
     done.sort(key=lambda result: result.id)
     title = html.escape(printable(out.name or str(out)))
     speeds = [result.sound / result.seconds for result in done if result.seconds > 0]
+    faces = faces_in_words(done)
     lines = [
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>",
@@ -60,7 +61,7 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
         f"{len(status.left)} left.</p>\n<p>Speed of the last ten minutes of work: "
         f"{status.items_per_minute:.1f} items a minute, {status.real_time_factor:.1f} times real "
         "time.</p>",
-        f"<p>{html.escape(printable(faces_in_words(done)))}</p>",
+        *([f"<p>{html.escape(printable(faces))}.</p>"] if faces else []),
         *_histogram("Seconds of sound", [result.sound for result in done]),
         *_histogram("Speed, times real time", speeds),
         *_failures(status),

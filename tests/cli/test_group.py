@@ -101,6 +101,8 @@ def test_the_demo_leaves_every_format_and_its_sound(gesturekit, tmp_path):
     assert all(str(tmp_path / name) in done.out for name in names) and "Blender" in done.out
     with np.load(tmp_path / "speech.npz", allow_pickle=False) as arrays:
         assert arrays["rotations"].shape[0] == arrays["translation"].shape[0]
+        assert arrays["face"] == "rules" and "Faces by rules" in done.err
+        assert arrays["face_values"].max() > 0.2
     (tmp_path / "speech.wav").write_text("mine")
     gesturekit("demo", "--out", tmp_path, "--seed", 1).fails(2, "speech.wav")
     first = (tmp_path / "speech.bvh").read_bytes()

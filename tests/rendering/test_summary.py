@@ -46,3 +46,13 @@ def test_failures_are_listed_by_reason_and_one_by_one(page):
     counts = map(int, re.findall(r"<title>(\d+)</title>", text))
     assert sum(counts) == 2, "one failed later, one was done twice"
     assert "other" not in page([])
+
+
+def test_it_says_which_faces_were_made_by_rules(page):
+    results = [done(name, 3.0, 1.0, f"{name}.npz") for name in "abcd"]
+    settings = ({}, {"face": "phones"}, {"face": "phones", "transcript": "hi"}, {"face": "<b>"})
+    for result, made_with in zip(results, settings, strict=True):
+        result.made[f"{result.id}.npz"]["made_with"] = made_with
+    text = page(results)
+    assert "Faces by rules, not recorded: 1 item from &lt;b&gt;" in text
+    assert "1 item from phones, 1 item from phones and a transcript" in text

@@ -75,8 +75,8 @@ def mouth_agreement(mouth: np.ndarray, recorded_mouth: np.ndarray, fps: float) -
 
     Examples:
         >>> mouth = np.random.default_rng(0).random(300)
-        >>> {key: round(value, 1) for key, value in mouth_agreement(mouth[3:], mouth, 30).items()}
-        {'mouth': 0.0, 'mouth_lag': -0.1, 'mouth_chance': 0.0, 'mouth_z': 0.1}
+        >>> mouth_agreement(mouth[:-3], mouth[3:], 30)["mouth_lag"]
+        0.1
     """
     n = min(len(mouth), len(recorded_mouth))
     if n < 3 * fps:
