@@ -38,7 +38,7 @@ _COLUMNS = """
 _MOST_BYTES = 256 << 20
 """Largest file: over an hour at 60 frames a second."""
 _DAY = 24 * 3600.0
-_TIMECODE = re.compile(r"(\d\d?):(\d\d?):(\d\d?)[:;](\d{1,3}(?:\.\d{1,9})?)")
+_TIMECODE = re.compile(r"(\d\d?):(\d\d?):(\d\d?)[:;]((?:\d\d?|1[01]\d)(?:\.\d{1,9})?)")
 _RATE = 60
 """Usual frames a second of timecodes; those of written ones."""
 _RATES = (24, 25, 30, 50, _RATE, 120)
@@ -47,12 +47,12 @@ _RATES = (24, 25, 30, 50, _RATE, 120)
 def read_live_link(path: str | os.PathLike[str], fps: float, n_frames: int) -> FaceTrack:
     """Read a face at the frames of a motion, whose first frame is the first row.
 
-    Values are interpolated between the rows' timecodes. The rate in which they count frames is the
-    least usual one that is above all of them, and 60 for less than a second. Rows without values
-    (no face was seen) are skipped.
+    Values are interpolated between the rows' timecodes, which count frames at the least usual rate
+    that is above all of them, and at 60 a second within a second. Columns may be in any order, and
+    missing; rows without values (no face was seen) are skipped.
 
     Args:
-        path: the file; columns may be in any order, and some or all but one may be missing.
+        path: the file.
         fps: frames per second of the motion.
         n_frames: number of its frames.
 
@@ -60,10 +60,18 @@ def read_live_link(path: str | os.PathLike[str], fps: float, n_frames: int) -> F
         FormatError: missing, too large, or not such a table; with its line.
 
     Warns:
-        UserWarning: the file is shorter (its last values are held) or longer than the motion.
+        UserWarning: the face is shorter (its last values are held) or longer than the motion.
     """
     path = Path(path)
-    names, times, values = _rows(path)
+    names, codes, values = _rows(path)
+    whole, frames = np.unwrap(codes[:, 0], period=_DAY), codes[:, 1]  # midnight may pass
+    rate = next(rate for rate in _RATES if rate > frames.max())
+    times = whole - whole[0] + frames / (rate if np.ptp(whole) else max(rate, _RATE))
+    if len(back := np.flatnonzero(np.diff(times) < 0)):
+        raise FormatError(
+            f"{path}: the timecode of row {back[0] + 2} is before that of row {back[0] + 1}"
+        )
+    times -= times[0]
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / _RATE
     lasts, needed = times[-1] + step, n_frames / fps
     if abs(lasts - needed) > step + 1 / fps:
@@ -75,10 +83,9 @@ def read_live_link(path: str | os.PathLike[str], fps: float, n_frames: int) -> F
 
 
 def _rows(path: Path) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    """Return the names of E channels, times (N,) in seconds from the first on, values (N, E)."""
+    """Return names of E channels, timecodes (N, 2) as seconds and frames, and values (N, E)."""
     known = {name.lower(): name for name in ARKIT}
-    columns: dict[str, int] = {}
-    codes, values = list[tuple[float, float]](), list[np.ndarray]()
+    found = []
     try:
         text = read_bytes(path, _MOST_BYTES, FormatError).decode("utf-8-sig")
         rows = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -86,51 +93,33 @@ def _rows(path: Path) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
         columns = {known[cell]: k for k, cell in enumerate(head) if cell in known}
         if "timecode" not in head or not columns:
             raise FormatError(f"{path}: no columns Timecode and EyeBlinkLeft, ..., TongueOut")
-        time = head.index("timecode")
+        at = head.index("timecode")
         for row in rows:
-            cells = [row[k].strip() for k in columns.values() if k < len(row)]
-            if any(cells):
-                where = f"{path}, line {rows.line_num}"
-                codes.append(_timecode(where, row[time] if time < len(row) else ""))
-                values.append(_numbers(where, cells, len(columns)))
+            cells = [row[k] if k < len(row) else "" for k in (at, *columns.values())]
+            if any(map(str.strip, cells[1:])):
+                found.append(_numbers(f"{path}, line {rows.line_num}", *cells))
     except (UnicodeDecodeError, csv.Error) as error:
         raise FormatError(f"{path}: not a CSV table ({error})") from None
-    if not values:
+    if not found:
         raise FormatError(f"{path}: no row with values of a face")
-    return tuple(columns), _seconds(path, np.array(codes)), np.stack(values)
+    table = np.stack(found)
+    return tuple(columns), table[:, :2], table[:, 2:]
 
 
-def _timecode(where: str, cell: str) -> tuple[float, float]:
-    """Return the whole seconds of a timecode, and its frames."""
-    match = _TIMECODE.fullmatch(cell.strip())
-    if not match or float(match[4]) >= max(_RATES):
-        raise FormatError(f"{where}: Timecode is {cell[:40]!r}; expected HH:MM:SS:FF.SSS")
+def _numbers(where: str, code: str, *cells: str) -> np.ndarray:
+    """Return the seconds and the frames of a timecode, and the values of a row."""
+    if not (match := _TIMECODE.fullmatch(code.strip())):
+        raise FormatError(
+            f"{where}: Timecode is {code[:40]!r}; expected HH:MM:SS:FF.SSS, FF below 120"
+        )
     hours, minutes, seconds = (int(match[k]) for k in (1, 2, 3))
-    return 3600.0 * hours + 60.0 * minutes + seconds, float(match[4])
-
-
-def _numbers(where: str, cells: list[str], count: int) -> np.ndarray:
     try:
-        numbers = np.array(cells, float)
+        numbers = np.array([3600 * hours + 60 * minutes + seconds, match[4], *cells], float)
     except ValueError:
         numbers = np.array([np.nan])
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise FormatError(f"{where}: expected {count} finite numbers of the face's channels")
+    if not np.isfinite(numbers).all():
+        raise FormatError(f"{where}: expected {len(cells)} finite numbers, one for each channel")
     return numbers
-
-
-def _seconds(path: Path, codes: np.ndarray) -> np.ndarray:
-    """Return times (N,) from the first on, of whole seconds and frames (N, 2)."""
-    whole = np.unwrap(codes[:, 0], period=_DAY)  # midnight may pass
-    most = codes[:, 1].max()
-    rate = next(rate for rate in _RATES if rate > most)
-    if np.ptp(whole) < 1:
-        rate = max(rate, _RATE)
-    times = whole + codes[:, 1] / rate
-    if (np.diff(times) < 0).any():
-        row = int(np.flatnonzero(np.diff(times) < 0)[0]) + 2
-        raise FormatError(f"{path}: the timecode of row {row} is before that of the row above it")
-    return times - times[0]
 
 
 def write_live_link(motion: Motion, path: str | os.PathLike[str]) -> None:

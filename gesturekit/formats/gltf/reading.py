@@ -167,7 +167,8 @@ def _named_joints(gltf: Gltf, nodes: Nodes, expressions: set[int]) -> set[int]:
     joints -= expressions
     whole: set[int] = set()
     for node in nodes.with_ancestors(list(joints)):
-        is_holder = node not in joints and len(entries[node].get("children", [])) == 1
+        below = set(entries[node].get("children", [])) - expressions
+        is_holder = node not in joints and len(below) == 1
         if nodes.parents[node] in whole or not is_holder:
             whole.add(node)
     return whole

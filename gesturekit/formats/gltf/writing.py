@@ -165,7 +165,7 @@ def animated_skeleton(
         builder.json["scenes"][0]["nodes"].append(body)
         weights = {body: motion.face.values} if motion.face is not None and channels else {}
     if motion.face is not None and not weights:
-        weights = {_face_alone(builder, motion.face.names): motion.face.values}
+        weights = {_face_alone(builder, name, motion.face.names): motion.face.values}
         builder.json["scenes"][0]["nodes"] += weights
     _animate(builder, motion, name, *_curves(motion), weights)
     return builder.file()
@@ -223,13 +223,13 @@ def _mesh(
     return mesh
 
 
-def _face_alone(builder: _Builder, channels: Sequence[str]) -> int:
+def _face_alone(builder: _Builder, name: str, channels: Sequence[str]) -> int:
     """Add a triangle with morph targets that do not move it; return its node."""
     corners = builder.bounded(_TRIANGLE * np.eye(3), _VERTICES)
     still = {"POSITION": builder.displacements(np.zeros((3, 3)))}
     primitives = [{"attributes": {"POSITION": corners}, "targets": [still] * len(channels)}]
-    mesh = builder.append("meshes", _mesh("face", primitives, channels))
-    return builder.append("nodes", {"name": "face", "mesh": mesh})
+    mesh = builder.append("meshes", _mesh(name, primitives, channels))
+    return builder.append("nodes", {"name": f"{name}_face", "mesh": mesh})
 
 
 def _rig(skeleton: Skeleton) -> tuple[list[dict[str, Any]], list[int], np.ndarray]:
@@ -407,7 +407,7 @@ def animated_avatar(avatar: Avatar, motion: Motion, name: str, scale: float) -> 
     weights = {} if motion.face is None else _weights(avatar.gltf, motion.face)
     alone = []
     if motion.face is not None and not weights:
-        alone = [_face_alone(builder, motion.face.names)]
+        alone = [_face_alone(builder, name, motion.face.names)]
         weights = {alone[0]: motion.face.values}
     _animate(builder, motion, name, rotations, {hips: places}, weights)
     roots = [node for node, parent in enumerate(tree.parents) if parent < 0]
