@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from audio_features.archive import open_archive
+from audio_features.archive import check_directory, open_archive
 from audio_features.atomic import atomic_write, write_text
 from audio_features.errors import FeatureError
 
@@ -85,6 +85,23 @@ def test_files_that_are_no_archives(tmp_path):
         path = tmp_path / name
         with pytest.raises(FeatureError, match=str(path)), open_archive(path, FeatureError):
             pass
+
+
+def test_lists_of_members_that_would_take_gigabytes_are_refused(tmp_path):
+    """The end record holds the list's length at byte 12; one for files over 4 GiB is before it."""
+    path = tmp_path / "a.npz"
+    np.savez(path, a=np.zeros(3))
+    whole = path.read_bytes()
+    end = whole.rindex(b"PK\5\6")
+    long = bytearray(whole)
+    long[end + 12 : end + 16] = (2**20 + 1).to_bytes(4, "little")
+    large = whole[:end] + b"PK\6\7" + bytes(16) + whole[end:]
+    for content, says in ((long, "1048577 bytes"), (large, "4 GiB")):
+        path.write_bytes(content)
+        with pytest.raises(FeatureError, match=says), open_archive(path, FeatureError):
+            pass
+    with pytest.raises(ValueError, match="whole"):
+        check_directory(path, zip64=True)
 
 
 def test_a_file_is_whole_or_as_it_was(tmp_path):

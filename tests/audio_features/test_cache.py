@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import audio_features as af
-from audio_features.cache import KINDS, DiskCache
+from audio_features.cache import KINDS, DiskCache, size_limit
 
 
 class Slow:
@@ -127,6 +127,13 @@ def test_what_a_killed_run_left_is_removed_after_an_hour(tmp_path, age, stays):
     assert (cache.contents().entries, cache.contents().oldest) == (0, None)
     cache.write(cache.path(KINDS[0], "cd", ".bin"), bytes(10))
     assert left.exists() == stays
+
+
+@pytest.mark.parametrize("size", ["20 GB", "-1", "nan", "inf"])
+def test_a_size_of_the_cache_that_is_none_is_named(monkeypatch, size):
+    monkeypatch.setenv("GESTUREKIT_CACHE_GB", size)
+    with pytest.raises(af.AudioFeaturesError, match=f"GESTUREKIT_CACHE_GB='{size}'"):
+        size_limit()
 
 
 def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):

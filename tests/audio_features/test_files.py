@@ -172,8 +172,17 @@ def test_a_wrong_npz_says_what_is_missing(talk, arrays, complaint):
         ({"dim": 0}, r"(?=.*dim).*\b0"),
         ({"dim": 4, "suffix": ".npy"}, r"(?=.*rate).*\.npy"),
         ({"dim": 4, "folder": "nowhere"}, "nowhere"),
+        ({"dim": 65_537}, "(?=.*dim).*65537"),
+        ({"dim": 4, "suffix": "npz"}, "(?=.*suffix).*npz"),
+        ({"dim": 4, "suffix": ".d/a.npz"}, "(?=.*suffix).*a.npz"),
+        ({"dim": 4, "suffix": ".csv"}, r"(?=.*suffix).*\.csv"),
+        ({"dim": 4, "rate": 9e-4}, "(?=.*rate).*0.0009"),
+        ({"dim": 4, "rate": 1_000_001}, "(?=.*rate).*1000001"),
+        ({"dim": 4, "start": float("inf")}, "(?=.*start).*inf"),
     ],
 )
 def test_wrong_settings_say_what_to_give(settings, complaint):
     with pytest.raises((af.FeatureError, af.WeightsError), match=complaint):
         af.extractor_from_spec({"kind": "files", **settings})
+    af.extractor_from_spec({"kind": "files", "dim": 65_536, "rate": 1_000_000, "start": -1})
+    af.extractor_from_spec({"kind": "files", "dim": 1, "rate": 0.001, "suffix": ".a.NPY"})

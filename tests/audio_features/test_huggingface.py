@@ -219,6 +219,9 @@ def test_the_waveform_is_normalised_as_the_folder_says(tmp_path, write_encoder):
             settings = {"do_normalize": normalize, "sampling_rate": 16_000}
             (folder / "preprocessor_config.json").write_text(json.dumps(settings))
             assert (af.HuggingFace(folder).normalize is not None) == normalize
+    write_encoder(tmp_path / "whisper", "whisper")
+    with pytest.raises(af.FeatureError, match="normalize: whisper"):
+        af.HuggingFace(tmp_path / "whisper", normalize=True)
     settings["sampling_rate"] = 8_000
     (folder / "preprocessor_config.json").write_text(json.dumps(settings))
     with pytest.raises(af.WeightsError, match="(?=.*sampling_rate).*8000"):

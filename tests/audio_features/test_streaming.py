@@ -63,6 +63,8 @@ def test_sound_without_voice_is_silent_and_a_voice_is_not():
 
 
 def test_features_that_need_the_whole_sound_are_named():
+    with pytest.raises(af.FeatureError, match="15999.*48000"):
+        SpectrumStream(15_999, 20.0)
     check_streams(af.Stack([af.LogMel(), af.Prosody(), af.ProsodicRange(), af.Effort(), af.MFCC()]))
     with pytest.raises(af.FeatureError, match="music"):
         check_streams(af.Stack([af.Onset(), af.Music()]))

@@ -208,10 +208,24 @@ def test_a_few_samples_that_are_not_finite_are_interpolated(tmp_path):
     ],
 )
 def test_an_array_that_is_no_sound_is_refused(samples, rate, says):
+    with pytest.raises(AudioError, match=r"\(2, 800\)"):
+        Wave(np.zeros((2, 800), np.float32), 16_000)
     with pytest.raises(AudioError, match=says):
         Wave.from_array(samples, rate)
     with pytest.raises(AudioError, match="the talk"):
         Wave.from_array(samples, rate, "the talk")
+
+
+def test_features_in_the_place_of_a_sound_are_silence_of_their_length(tmp_path):
+    def of(*times: float, **options) -> Wave:
+        np.savez(tmp_path / "dance.npz", values=np.ones((len(times), 3)), times=times)
+        return Wave.load(tmp_path / "dance.npz", **options)
+
+    assert of(0.0, 0.5, 1.0, 1.75).duration == 2.25  # the last frame is as long as is usual
+    assert not of(0.0, 1.0, max_seconds=2.0).samples.any()
+    for times, seconds in (((0.5,), "0 s"), ((0.0, 1.0), "2 s"), ((-2.0, -1.0), "0 s")):
+        with pytest.raises(AudioError, match=f"dance.npz: features up to {seconds}"):
+            of(*times, max_seconds=1.9)
 
 
 @pytest.mark.parametrize("rate", [8_000, 11_025, 22_050, 44_100, 48_000])

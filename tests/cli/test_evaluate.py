@@ -106,6 +106,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "recordings", "--baseline", "retrival"], "retrieval"),
         (["ours", "recordings", "--baseline", "retrieval"], "--corpus"),
         (["ours", "recordings", "--out", "report.pdf"], ".html"),
+        (["ours", "recordings", "--out", "ours/clip0.npz/report.html"], "clip0.npz/report.html"),
         (["ours", "recordings", "--audio", "ours"], "ours"),
         (["demo", "recordings"], "gesturekit render"),
         (["demo", "recordings", "--protocol", "lda"], "--audio"),

@@ -1,4 +1,5 @@
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -79,11 +80,16 @@ def test_a_saved_manifest_reads_back_and_has_the_same_bytes_whatever_the_order(t
         ({"reading": {"body_model": "/b.npz"}}, "(?=.*body_model).*/b.npz"),
         ({"duration": "long"}, "(?=.*duration).*long"),
         ({"duration": 10**400}, "duration"),
+        ({"duration": 0}, "(?=.*duration).*above 0"),
+        ({"audio_start": -0.5}, "(?=.*audio_start).*-0.5"),
+        ({"motion_start": -0.5}, "(?=.*motion_start).*-0.5"),
         ({"split": "dev"}, "(?=.*split).*'dev'"),
         ({"audio": "/data/a.wav"}, "(?=.*audio).*'/data/a.wav'"),
         ({"audio": "C:\\data\\a.wav"}, "(?=.*audio).*'C:"),
         ({"audio": None, "motion": None}, "(?=.*audio).*motion"),
         ({"audible": [[2, 1]]}, r"(?=.*audible)(?=.*\b2\b).*\b1\b"),
+        ({"audible": [[-1, 2]]}, "(?=.*audible).*-1"),
+        ({"audible": [[0, 1, 2]]}, "audible"),
         ({"id": "../../etc/a"}, r"'\.\./\.\./etc/a'"),
         ({"id": "a\nb"}, r"'a\\nb'"),
     ],
@@ -92,6 +98,13 @@ def test_an_invalid_field_is_reported_with_file_and_line(tmp_path, change, messa
     path = write(tmp_path / "m.jsonl", {**RECORD, "id": "first"}, {**RECORD, **change})
     with pytest.raises(CorpusError, match=rf"m\.jsonl:3\b.*{message}"):
         Manifest.load(path)
+
+
+@pytest.mark.parametrize("field", ["duration", "audio_start", "motion_start"])
+def test_an_item_neither_begins_nor_ends_at_infinity(tmp_path, field):
+    fields = {"duration": 1.0, field: math.inf}
+    with pytest.raises(CorpusError, match=f"(?=.*{field}).*inf"):
+        Item(id="a", audio=None, motion=tmp_path / "a.bvh", **fields)
 
 
 def test_an_id_used_twice_is_named(tmp_path):

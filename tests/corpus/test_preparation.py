@@ -248,6 +248,13 @@ def test_labels_come_from_names(tmp_path, write_pair):
     ("options", "message"),
     [
         ({"holdout": 1.0}, r"(?=.*holdout).*\b1.0"),
+        ({"holdout": -0.1}, "(?=.*holdout).*-0.1"),
+        ({"seed": -1}, "(?=.*seed).*-1"),
+        ({"workers": 0}, r"(?=.*workers).*\b0"),
+        ({"workers": 1025}, "(?=.*workers).*1025"),
+        ({"shift": "left"}, "(?=.*shift).*left"),
+        ({"tolerance": float("inf")}, "(?=.*tolerance).*inf"),
+        ({"tolerance": -1.0}, "(?=.*tolerance).*-1"),
         ({"tolerance": float("nan")}, "(?=.*tolerance).*nan"),
         ({"style_pattern": "calm"}, "(?=.*calm).*style"),
         ({"unpaired": ["nowhere"]}, "nowhere"),
@@ -291,6 +298,18 @@ def test_reading_options_are_stored_with_the_items(tmp_path, write_speech, gestu
     prepare(tmp_path, tmp_path / "corpus.jsonl", holdout=0.0, tolerance=2.0, read={"fps": 60})
     (item,) = Manifest.load(tmp_path / "corpus.jsonl")
     assert item.load_motion().fps == 60 and item.duration == pytest.approx(2.0)
+
+
+def test_bodies_that_differ_evenly_are_named_by_the_ends(tmp_path, write_pairs, gesture):
+    """1.3 times the usual is a person, but 1.69 times from end to end are two units."""
+    sizes = {"a": 1.3, "b": 1.69, "c": 2.197}
+    write_pairs(**{name: gesture(4.0, seed=ord(name)).with_height(h) for name, h in sizes.items()})
+    report = prepare(tmp_path, holdout=0.0)
+    (said,) = (text for text in texts(report, "warning") if "factor" in text)
+    assert re.search(
+        r"factor of 1\.69; the usual is 1\.69 m.*a.bvh \(1.3 m\).*c.bvh \(2.2 m\)", said
+    )
+    assert "b.bvh" not in said
 
 
 def test_every_file_that_looks_like_sound_or_motion_is_used_or_named(tmp_path, write_pair):

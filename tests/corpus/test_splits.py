@@ -30,6 +30,7 @@ def test_names_that_fit_nothing_or_everything_are_one_clear_error(tmp_path):
     for wanted, says in (
         ({"pattern": "xyz"}, r"(?=.*xyz)(?=.*\b3\b).*day1/a"),
         ({"pattern": "day"}, " 3 "),
+        ({"pattern": "("}, r"(?=.*pattern \().*expression"),
         ({"speakers": ("carl",)}, "(?=.*'carl')(?=.*ann).*bob"),
         ({"file": "gone\nday1/a\nlost\n"}, r"(?=.*names.txt)(?=.*\b2\b)(?=.*gone).*lost"),
         ({"file": "x" * (16 * 2**20 + 1)}, "names.txt"),

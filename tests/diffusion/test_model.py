@@ -141,6 +141,9 @@ def test_a_path_is_followed_to_the_millimetre(untrained, tmp_path):
         np.testing.assert_allclose(root[:, [0, 2]], wanted.positions, atol=1e-3)
     with pytest.raises(ModelError, match=r"(?=.*path)(?=.*\.csv)"):
         walker.generate(seconds=1.0)
+    for control in ({"facing": 0.0}, {"in_place": True}):
+        with pytest.raises(ModelError, match=f"{[*control][0]}=.*path"):
+            walker.check_controls(**control)
     with pytest.raises(ModelError, match="path=RootPath"):
         untrained().generate(path=RootPath(np.zeros((60, 2)), np.zeros(60), 30.0))
 

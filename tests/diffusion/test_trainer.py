@@ -24,7 +24,8 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model_that_moves(make_config):
     config = make_config(eval_every=4, fps=15.0, clip_denoised=False, notes=notes)
     folder = train(config)
     card = (folder / "README.md").read_text()
-    for facts in ("2 rec", "6 s", r"steps\W+6\b", "Licence.* CC BY 4.0", "Year.* 2026"):
+    drawn = r"7\.4 times"  # 6 updates of 4 windows of 2 s, of 6.5 s of recordings
+    for facts in ("2 rec", "6 s", drawn, r"steps\W+6\b", "Licence.* CC BY 4.0", "Year.* 2026"):
         assert re.search(facts, card)
     assert [line["step"] for line in logged(config.out)] == [2, 4, 6]
     assert [line["step"] for line in logged(config.out, "evaluation")] == [4, 6]

@@ -140,6 +140,8 @@ def test_decimal_commas_are_read_as_points(write):
 def test_files_that_are_not_bvh_are_refused(write, tmp_path):
     with pytest.raises(FormatError, match="HIERARCHY"):
         read_bvh(write(bytes(range(256)) * 50))
+    with pytest.raises(FormatError, match="(?=.*glTF).*HIERARCHY"):
+        read_bvh(write(b"glTF" + bytes(20)))
     with pytest.raises(FormatError, match="clip.bvh.* 1048576"):
         read_bvh(write(b"x" * (1 << 22)))
     with pytest.raises(FormatError, match="clip.bvh:20.* 1048576"):

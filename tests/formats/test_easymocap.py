@@ -128,6 +128,8 @@ def test_poses_of_every_length(tmp_path, width, n_joints):
         ("[" * 100_000, "JSON"),
         ('{"reference": 1, "models": 2, "definitions": 3}', "gesturekit evaluate"),
         ('[{"id": 0}]', "'Rh'"),
+        ('[{"Rh": [0, 0, 0]}]', "entry 0"),
+        ("[3]", "entry 0"),
         ('[{"id": 0, "Rh": [[0, 0]]}]', "2 numbers"),
         ('[{"id": 0, "Rh": {"a": 1}}]', "'Rh'"),
         ('[{"id": 0, "Rh": [0, 0, NaN]}]', "finite"),

@@ -219,6 +219,10 @@ def test_a_body_model_gives_the_rig_its_bones(tmp_path, capsule_body):
         ({"poses": np.full((20, 165), np.nan)}, "frame 0"),
         ({"mocap_frame_rate": 60}, "(?=.*'mocap_frame_rate' 60).*'mocap_framerate' 30"),
         ({"poses": np.array([{}])}, "(?=.*'poses').*pickle"),
+        ({"betas": np.zeros(1001)}, r"(?=.*'betas').*\(1001,\)"),
+        ({"betas": np.full(10, np.nan)}, "(?=.*'betas').*finite"),
+        ({"poses": None, "v_template": np.zeros((9, 3))}, "--body-model"),
+        ({"poses": None, "values": np.zeros(9), "times": np.zeros(9), "spec": "{}"}, "features"),
     ],
 )
 def test_amass_files_that_are_broken(tmp_path, change, says):
@@ -273,7 +277,15 @@ def seamless(path, motion):
 
 def test_files_of_seamless_interaction_are_stood_up(tmp_path):
     motion = smpl_motion(52)
-    again = read_npz(seamless(tmp_path / "a.npz", motion))
+    path = seamless(tmp_path / "a.npz", motion)
+    again = read_npz(path)
     assert (again.fps, again.info["up"]) == (30, "-y")
+    for wrong, says in (
+        (np.zeros((20, 20, 3)), r"body_pose.*\(20, 20, 3\)"),
+        (np.zeros((19, 21, 3)), "frames"),
+    ):
+        np.savez(tmp_path / "b.npz", **{**np.load(path), "smplh:body_pose": wrong})
+        with pytest.raises(FormatError, match=says):
+            read_npz(tmp_path / "b.npz")
     assert again.skeleton.body_shape.pelvis == tuple(model_pelvis(52))
     np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-9)

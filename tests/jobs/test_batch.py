@@ -83,7 +83,10 @@ def test_shards_share_the_tasks_and_those_that_cannot_be_made_are_in_the_first(t
     ("settings", "says"),
     [
         ({"workers": 0}, "workers & 0"),
+        ({"workers": 1025}, "workers & 1025"),
         ({"shard": (0, 2)}, "shard & 0 & 2"),
+        ({"shard": (3, 2)}, "shard & 3 & 2"),
+        ({"shard": (1, 100_000)}, "shard & 100000"),
         ({"deadline": 0.0}, "deadline & 0"),
     ],
 )

@@ -33,6 +33,11 @@ def test_invalid_motions_are_refused(moving_person, change, says):
         replace(moving_person, **change)
 
 
+def test_positions_are_of_a_joint_by_its_name(moving_person):
+    with pytest.raises(MotionError, match=r"positions\(3\)"):
+        moving_person.positions(3)
+
+
 def test_quaternions_of_any_length_are_normalised_and_unit_ones_are_not_touched(moving_person):
     once = moving_person.rotations
     factors = np.random.default_rng(0).uniform(0.1, 9, (60, 19, 1))

@@ -108,6 +108,13 @@ def test_invalid_paths_are_refused(positions, headings, fps, said):
         RootPath(positions, headings, fps)
 
 
+@pytest.mark.parametrize("frames", [(-1, 3), (2, 2), (0, 601)])
+def test_a_part_of_a_path_lies_within_it(frames):
+    with pytest.raises(MotionError, match=f"{frames[0]} to {frames[1]} .*600"):
+        circle().slice(*frames)
+    assert circle().slice(599, 600).positions.tolist() == circle().positions[599:].tolist()
+
+
 @pytest.mark.parametrize(("frames", "half"), [(1, 0), (2, 1), (3, 1), (4, 2), (None, 1)])
 def test_smoothing_is_a_centred_average_over_its_window(frames, half):
     """A third of a second at 9 fps is three frames."""

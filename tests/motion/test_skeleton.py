@@ -24,6 +24,8 @@ from gesturekit.motion.skeleton import BodyShape
         ({"names": (), "parents": (), "offsets": np.zeros((0, 3))}, "joint"),
         ({"parents": (-1, 0)}, r"(?=.*\b3\b).*\b2\b"),
         ({"parents": (-1, 1, 1)}, r"(?=.*'b').*\b1"),
+        ({"parents": (-1, 0, 2)}, r"(?=.*'c').*\b2"),
+        ({"names": ("a", " ", "c")}, "' '"),
         ({"offsets": [[0, 0, 0], [0, 0, 0], [0, -1.001e9, 0]]}, "joint 2"),
         ({"end_sites": {"c": (np.array([0, 0, -1.001e9]),)}}, "(?=.*end).*'c'"),
     ],
@@ -32,6 +34,7 @@ def test_invalid_skeletons_are_refused(change, says):
     rig = {"names": ("a", "b", "c"), "parents": (-1, 0, 1), "offsets": np.zeros((3, 3))}
     with pytest.raises(MotionError, match=says):
         Skeleton(**rig | change)
+    assert len(Skeleton(**rig | {"names": ("a", "b" * 200, "c")}).names[1]) == 200
 
 
 def test_unknown_joint_names_the_nearest(person):

@@ -171,6 +171,8 @@ def test_a_run_leaves_metrics_checkpoints_and_a_model(make_config, tmp_path, cap
     facts = ("4 levels", "25 fps", "30 fps", "19 of 19", "2 recordings", "6 s", "5 s", "1 file")
     for fact in (*facts, "discriminator", "CC0"):
         assert fact in card
+    # Two iterations of two windows of 1 s, and a cache of four, of 6.5 s of recordings.
+    assert card.count(" about 0.62 times (46% ") == 2
     assert re.search(r"steps\W+4\b", card)
     lines = logged(config.out)
     assert [(line["level"], line["step"]) for line in lines] == [(1, 2), (3, 4)]

@@ -67,6 +67,30 @@ def test_corrections_fade_smoothly_at_a_limited_speed(height):
     np.testing.assert_allclose(offset[:, 1] / height, hold, atol=1e-12)
     assert (np.diff(hold[199:]) <= 0).all() and np.abs(np.diff(hold, 2)).max() < 0.04
     assert speeds(offset).max() < 0.3
+    if height == SMALL:  # 1 - x² (3 - 2x) at 4, 8, 12 and 16 sixteenths
+        assert hold[[203, 207, 211, 215]] == pytest.approx([27 / 32, 1 / 2, 5 / 32, 0])
+
+
+def test_a_foot_is_lowered_while_it_stands_and_not_in_flight():
+    offset, hold = pinned(at_heights(300, (0, 300, SMALL)), (100, 200))
+    assert not offset[:100].any() and not offset[200:].any()
+    assert offset[[196, 192, 188, 184], 1] == pytest.approx(
+        [-SMALL * x / 32 for x in (5, 16, 27, 32)]
+    )
+    assert hold[[203, 207]] == pytest.approx([27 / 32, 1 / 2])
+    np.testing.assert_allclose(offset, offset[::-1], atol=1e-12)
+
+
+def test_a_point_that_descends_comes_down_within_twice_the_blend():
+    """It keeps its height for 0.15 s of its span, and loses it in as much time."""
+    places = at_heights(400, (90, 140, SMALL), (260, 310, SMALL))
+    offset = pinned(places, (100, 300))[0][:, 1]
+    there = [-SMALL * x / 27 for x in (0, 7, 20, 27, 27)]  # x² (3 - 2x) at 0, 1/3, 2/3 and 1
+    assert offset[[115, 120, 125, 130, 139]] == pytest.approx(there, abs=1e-12)
+    np.testing.assert_allclose(offset, offset[::-1], atol=1e-12)
+    places = at_heights(300, (0, 40, SMALL), (260, 300, SMALL))
+    shown = pinned(places, (0, 300))[0][:, 1]
+    assert shown[[0, 39, 260, 299]] == pytest.approx(-SMALL), "neither its landing nor its leaving"
 
 
 def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
@@ -79,3 +103,4 @@ def test_across_a_short_gap_the_correction_goes_from_one_to_the_other():
     assert (np.diff(between) > 0).all()
     np.testing.assert_allclose(between, -between[::-1], atol=1e-12)
     assert np.abs(np.diff(offset[:, 1], 2)).max() < 1e-4, "smoothly: a jump would be 8 mm"
+    assert between[7] == pytest.approx(-0.004 + 0.008 * 7 / 27)  # a third of the 21 frames

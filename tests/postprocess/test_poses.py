@@ -61,6 +61,8 @@ def test_far_feet_step_one_after_the_other_and_a_raised_one_first(first):
         assert left[0] == pytest.approx(1) and (np.diff(left) < 0).all()
         assert np.abs(np.diff(left)).max() < 0.3, "smoothly"
         assert 0.02 < made[begins : begins + 13, foot, 1].max() < 0.1, "off the floor"
+        # After a third of the 12 frames, x² (3 - 2x) of the 20/27 by which it is not yet lowered.
+        assert left[4] == pytest.approx((20 / 27) ** 2 * (3 - 40 / 27))
         np.testing.assert_allclose(made[begins + 12 :, foot], 0, atol=1e-9)
 
 
@@ -86,6 +88,8 @@ def test_a_pose_decays_within_half_a_second_or_a_quarter_of_the_motion(n_frames,
     angles = Rotation.from_quat(turned).as_rotvec()[:, 2]
     assert angles[0] == pytest.approx(0.8) and (np.diff(angles[: count + 1]) < 0).all()
     np.testing.assert_allclose(angles[count:], 0, atol=1e-9)
+    if count == 12:  # 1 - x² (3 - 2x) after a third
+        assert angles[4] == pytest.approx(0.8 * 20 / 27)
 
 
 def test_a_pose_of_a_taller_person_is_put_on_the_body_above_its_floor():

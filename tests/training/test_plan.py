@@ -77,6 +77,12 @@ def test_a_plan_says_that_its_folder_is_in_use(plan, tmp_path):
     assert re.search(f"(?=.*{tmp_path / 'run'})(?=.*out=)", said) and TIME.search(said)
 
 
+def test_a_plan_of_a_run_in_a_file_is_refused(gesturekit, plan, tmp_path):
+    plan("diffusion", 20.0)
+    (tmp_path / "run").write_text("mine")
+    gesturekit("train", tmp_path / "config.yaml", "--plan").fails(2, str(tmp_path / "run"))
+
+
 @pytest.fixture
 def timed(monkeypatch) -> Callable[..., None]:
     """timed(owner, name, seconds): make a function take that long, and 100 s more when it warms up,
