@@ -361,7 +361,7 @@ def _segment(
         raise AudioError(f"{name}: start is {start} s but the sound ends at {n / rate:.3f} s")
     count = n - first if duration is None else min(n - first, round(duration * rate))
     if count > max_seconds * rate:
-        limit = f"{count / rate:.0f} s of sound exceed the limit of {max_seconds:.0f} s"
+        limit = f"{count / rate:.1f} s of sound exceed the limit of {max_seconds:g} s"
         raise AudioError(f"{name}: {limit}: give start and duration, or max_seconds")
     return first, count
 

@@ -305,10 +305,13 @@ def _style_term(names: Sequence[str], text: str) -> tuple[str, float | None, str
     match = _STYLE_TERM.fullmatch(text)
     if text in names or match is None:
         return text, None, ""
-    name, weight = match["name"], match["weight"]
+    name, weight, span = match["name"], match["weight"], match["span"] or ""
+    start, _, end = span.partition("-")
+    if span and float(end) <= float(start):
+        raise ModelError(f"style {text!r}: the span ends before it begins")
     if weight is not None and f"{name}:{weight}" in names:
         name, weight = f"{name}:{weight}", None
-    return name, None if weight is None else float(weight), match["span"] or ""
+    return name, None if weight is None else float(weight), span
 
 
 def _span_weights(wanted: str, weights: list[float | None]) -> list[float]:

@@ -15,7 +15,7 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.training.config import read_yaml
-from gesturekit.training.run_folder import is_running, resume_command
+from gesturekit.training.run_folder import is_running, read_rig, resume_command
 from gesturekit.wording import listed
 
 _NOTE = re.compile(r"- \*\*(.+?)\*\*: (.*)")
@@ -33,7 +33,7 @@ def inspect_model(folder: Path) -> Summary:
     try:
         config = read_yaml(path)
         path = folder / "skeleton.json"
-        Skeleton.from_json(json.loads(path.read_bytes())["skeleton"])
+        Skeleton.from_json(read_rig(folder)["skeleton"])
         path = folder / "model.safetensors"
         shapes = _shapes(path)
     except (OSError, ValueError, LookupError, TypeError, RecursionError, SafetensorError) as error:

@@ -19,7 +19,6 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 import audio_features as af
-from audio_features.archive import parse_json, read_bytes
 from audio_features.atomic import atomic_write, remove_unfinished, write_tensors
 from audio_features.extractor import needs_of
 from audio_features.weight_files import WeightPlaces
@@ -36,12 +35,11 @@ from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.features import conditioner_tensors
 from gesturekit.training.own_rig import on_rig
 from gesturekit.training.run_config import MOST_SMOOTH, Limits
-from gesturekit.training.run_folder import unfinished
+from gesturekit.training.run_folder import read_rig, unfinished
 from gesturekit.training.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
 from gesturekit.wording import counted
 
 FORMAT = 1
-_MOST_RIG = 64 << 20  # bytes of skeleton.json
 _MOST_HEADER = 4 << 20  # some 40,000 tensors; the largest of our models have 2,000
 
 
@@ -162,8 +160,7 @@ def _read_files(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     Raises:
         ModelError: a file is missing, special or damaged, or has a million tensors.
     """
-    file = folder / "skeleton.json"
-    rig = parse_json(read_bytes(file, _MOST_RIG, ModelError), str(file), ModelError)
+    rig = read_rig(folder)
     file = folder / "model.safetensors"
     try:
         if file.exists() and not file.is_file():  # reading a pipe may never end

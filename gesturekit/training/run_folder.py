@@ -17,6 +17,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+from audio_features.archive import parse_json, read_bytes
 from audio_features.atomic import atomic_write, remove_unfinished
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.jobs.records import claimed, running
@@ -32,6 +33,8 @@ _CHECKPOINT = re.compile(r"step_(\d+)\.pt")
 _KEPT = 2
 """Number of checkpoints that are kept."""
 
+_MOST_RIG = 64 << 20  # bytes of skeleton.json
+
 _MOST_SHARE = 0.005
 """Largest share of the training time spent on the report."""
 _LEAST_SECONDS = 2.0  # between two reports
@@ -46,6 +49,16 @@ _BEFORE_CONFIG = ("data", "command.txt", "versions.json")  # written before conf
 def is_running(folder: Path) -> bool:
     """Return whether a living process trains a run."""
     return bool(running(folder / CLAIM))
+
+
+def read_rig(folder: Path) -> Any:
+    """Return the content of the skeleton.json of a model folder.
+
+    Raises:
+        ModelError: it is missing, damaged or over 64 MiB.
+    """
+    file = folder / "skeleton.json"
+    return parse_json(read_bytes(file, _MOST_RIG, ModelError), str(file), ModelError)
 
 
 def unfinished(folder: Path) -> str:

@@ -69,7 +69,7 @@ HOLES = np.where((np.arange(16_000) >= 123) & (np.arange(16_000) < 323), np.nan,
         ("empty.wav", b"", {}, ["0 bytes"]),
         ("short.wav", wav(noise(160)), {}, ["10.0 ms", "25 ms"]),
         ("nan.wav", wav(HOLES, subtype="FLOAT"), {}, ["sample 123", "nan"]),
-        ("good.wav", wav(noise(16_000)), {"max_seconds": 0.5}, ["max_seconds"]),
+        ("good.wav", wav(noise(16_000)), {"max_seconds": 0.5}, ["1.0 s", "0.5 s", "max_seconds"]),
     ],
 )
 def test_bad_files_are_named_with_what_is_wrong(tmp_path, name, content, options, words):

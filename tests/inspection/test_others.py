@@ -153,6 +153,9 @@ def test_a_model_that_lacks_a_part_names_it(tmp_path):
     (copy / "skeleton.json").write_text("{")
     with pytest.raises(ModelError, match=r"skeleton\.json"):
         inspect(copy)
+    os.truncate(copy / "skeleton.json", 65 << 20)
+    with pytest.raises(ModelError, match="larger than 64 MiB"):
+        inspect(copy)
 
 
 def test_a_manifest(corpus, write_pair, tmp_path):

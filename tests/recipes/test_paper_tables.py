@@ -8,6 +8,7 @@ import pytest
 import torch
 from small_models import small_diffusion
 
+import gesturekit as gk
 from gesturekit.corpus import Item, Manifest
 
 RECIPE = Path(__file__).resolve().parents[2] / "recipes" / "paper_tables"
@@ -64,6 +65,25 @@ def test_missing_rows_say_why(run, tmp_path):
     text = " ".join(run("lda_table4", "--block", "dance", "dances.jsonl")["text"])
     assert "LDA-U (not given: train diffusion_speech/dance_unconditional" in text
     assert "BL (not given: sample Bailando" in text and "FGD (give --features)" in text
+
+
+def test_joint_positions_become_a_motion_that_is_measured_as_the_recording(
+    gesture, tmp_path, monkeypatch
+):
+    """The README's lines, as they are; rotations, of which there are none, are not compared."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("recordings", "FOLDER"):
+        Path(folder).mkdir()
+    text = (RECIPE / "README.md").read_text()
+    lines = "\n".join(line.strip() for line in text.splitlines() if line.startswith("      "))
+    for seed, name in enumerate("ab"):
+        gesture(10.0, 60.0, seed=seed).save(f"recordings/{name}.bvh")
+        recorded = gk.Motion.load(f"recordings/{name}.bvh")
+        np.save(f"{name}.npy", recorded.positions().reshape(600, -1))
+        exec(lines.replace("ID", name), {"gesturekit": gk, "numpy": np})
+    found = gk.evaluate("FOLDER", "recordings", protocol="lda").to_json()["models"][0]["figures"]
+    for name in ("jerk", "wrist_speed", "fid_k", "div_k"):
+        assert found[name]["value"] == pytest.approx(found[name]["recording"], abs=5e-3), name
 
 
 @pytest.mark.stress  # of seconds: the metrics of whole sets

@@ -247,10 +247,11 @@ def _bones(
 def _to_front(motion: Motion, positions: np.ndarray) -> np.ndarray:
     """Return (T, 4) turns about the vertical that put the left hip at +X of the right one.
 
-    Shoulders stand in for the hips of a rig without legs.
+    Shoulders stand in for the hips of a rig without legs. Raises EvaluationError without either.
     """
     names = heading_joints(motion.skeleton)
-    assert names is not None
+    if names is None:
+        raise EvaluationError(f"{motion_name(motion)}: no hips or shoulders are found in the rig")
     left, right = map(motion.skeleton.index, names)
     across = positions[:, left] - positions[:, right]
     turn = np.zeros((len(across), 3))
