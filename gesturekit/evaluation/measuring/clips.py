@@ -239,7 +239,7 @@ def _same_bones(motion: Motion, recording: Motion, joints: tuple[str, ...]) -> b
 def _distances(rig: Skeleton, pairs: list[tuple[str, str]]) -> np.ndarray:
     rest = np.broadcast_to(IDENTITY, (rig.n_joints, 4))
     places = forward_kinematics(rest, np.zeros(3), rig)
-    ends = np.array([[rig.index(name) for name in pair] for pair in pairs]).reshape(-1, 2)
+    ends = np.array([[rig.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2)
     return np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=-1)
 
 
