@@ -373,7 +373,8 @@ def bone_length_change(motion: Motion, joints: Sequence[str] | None = None) -> f
         >>> rig = gk.Skeleton(("elbow", "wrist"), (-1, 0), [[0, 0, 0], [0, 0.2, 0]])
         >>> moving = {"wrist": [(0, 0.2, 0), (0, 0.3, 0)]}
         >>> still = np.tile([0.0, 0, 0, 1], (2, 2, 1))
-        >>> motion = gk.Motion(rig, still, np.zeros((2, 3)), 30, joint_translations=moving)
+        >>> walk = [(0, 0, 0), (1, 0, 0)]
+        >>> motion = gk.Motion(rig, still, walk, 30, joint_translations=moving)
         >>> round(bone_length_change(motion, rig.names), 6)
         0.2
     """
