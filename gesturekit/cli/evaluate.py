@@ -302,19 +302,17 @@ def _evaluated(
     """Run the evaluation with the options of the command line."""
     from gesturekit.evaluation import evaluate, load_extractor
 
-    features, baselines = options["features"], comma_separated(options["baseline"])
+    features = options["features"]
     with resumable(lambda: "What is measured is cached: the same command continues."):
-        found = evaluate(
+        return evaluate(
             folders,
             recordings,
             **{name: options[name] for name in ("audio", "semantic", "take_pattern", "take_table")},
             protocol=options["protocol"] or "",
-            baselines=[name for name in baselines if name not in folders],
+            baselines=comma_separated(options["baseline"]),
             features=None if features is None else load_extractor(features),
             **_measuring(options, "recording"),
         )
-    found.settings["baselines"] = baselines  # as given, all of them
-    return found
 
 
 def _measuring(options: Mapping[str, Any], unit: str) -> dict[str, Any]:

@@ -21,8 +21,9 @@ _PUBLIC = {
         "patch_features patch_scores"
     ),
     "metrics.physical": (
-        "JointLimits acceleration arm_speed arm_speed_ratio floor_penetration foot_skate jerk "
-        "jerk_ratio joint_limit_share joint_speed max_speed standing_heights wrist_speed"
+        "JointLimits acceleration arm_speed arm_speed_ratio bone_length_change feet_above_floor "
+        "floor_penetration foot_skate jerk jerk_ratio joint_limit_share joint_speed max_speed "
+        "standing_heights wrist_speed"
     ),
     "metrics.rhythm": (
         "BeatResult beat_alignment beat_consistency motion_beats music_beats speech_onsets"

@@ -106,7 +106,8 @@ class EvaluationOptions:
     """The feature extractor of `gesturekit fit-features`, or BEAT2's (`load_extractor`); without
     it, FGD is left out."""
     baselines: Sequence[str] = ()
-    """Baselines to compare with, made from the recordings: "mean_pose" and "other_utterance"."""
+    """Baselines to compare with, made from the recordings: "mean_pose" and "other_utterance". The
+    label of a model says that it is one too."""
     seed: int = 0
     """Seed of the bootstrap intervals and of subsamples."""
     workers: int = 1

@@ -323,3 +323,25 @@ def test_a_few_windows_are_not_informative(gesture, tmp_path, seconds, enough):
     assert not any(model.metrics[key].informative for key in ("fid_k", "fid_g") if seconds > 30)
     (model,) = evaluate(tmp_path / "made", tmp_path / "recordings", protocol="multires").models
     assert model.metrics["coverage"].informative == enough
+
+
+def test_a_body_that_floats_or_whose_bones_change_is_broken(gesture, tmp_path):
+    def floating(motion: Motion) -> Motion:
+        return replace(motion, translation=motion.translation + [0.0, 0.5, 0.0])
+
+    def stretched(motion: Motion) -> Motion:
+        """Each bone is 0.8 or 1.2 times as long: a standard deviation of 20 %."""
+        rig, factor = motion.skeleton, np.where(np.arange(motion.n_frames) % 2, 1.2, 0.8)[:, None]
+        moving = {name: rig.offsets[j] * factor for j, name in enumerate(rig.names) if j}
+        return replace(motion, joint_translations=moving)
+
+    for k in range(2):
+        motion = gesture(2.0, 15.0, seed=k)
+        for folder, made in (("recorded", motion), ("floating", floating(motion)),
+                             ("stretched", stretched(motion))):  # fmt: skip
+            made.save(tmp_path / folder / f"c{k}.npz")
+    folders = {name: tmp_path / name for name in ("recorded", "floating", "stretched")}
+    sound, *broken = evaluate(folders, tmp_path / "recorded", cheap=True).models
+    assert "broken" not in sound.verdict
+    for model, fact in zip(broken, (r"\b4\d\d mm", r"\b20 %"), strict=True):
+        assert "broken" in model.verdict and re.search(fact, model.verdict)

@@ -113,6 +113,8 @@ SIGNS = {
     "speed_range": "00-?x",
     "foot_skate": "+++?-",
     "floor_penetration": "0++0?",
+    "feet_above_floor": "00?0?",
+    "bone_length_change": "00000",
     "joint_limits": "00+00",
     "l1_diversity": "00+0-",
     "intra_diversity": "?0+?-",

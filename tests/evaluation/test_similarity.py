@@ -9,10 +9,12 @@ from gesturekit.evaluation import (
     l1_diversity,
     pose_rmse,
     read_semantic,
+    root_relative,
     srgr,
     vertex_lvd,
     vertex_mse,
 )
+from gesturekit.evaluation.metrics.similarity import pose_pair
 from gesturekit.motion import Motion, Skeleton
 
 
@@ -97,6 +99,20 @@ def test_rmse_of_a_pose_by_hand():
     walks = {"hips": [(0, 1, 0), (2, 1, 0)]}
     pair = [Motion(floor, still, np.zeros((2, 3)), 30.0, moved) for moved in ({}, walks)]
     assert pose_rmse(*pair, floor.names) == pytest.approx(0.0)
+
+
+def test_poses_are_relative_to_the_pelvis_where_the_first_joint_lies_on_the_floor(gesture):
+    motion = gesture(2.0, 15.0)
+    rig, n = motion.skeleton, motion.n_frames
+    floor = Skeleton(
+        ("floor", *rig.names), (-1, *(p + 1 for p in rig.parents)), np.r_[[[0, 0, 0]], rig.offsets]
+    )
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1, 1))
+    walk = motion.translation + np.arange(n)[:, None] * [0.05, 0.0, 0.0]
+    moved = Motion(floor, np.concatenate([still, motion.rotations], axis=1), np.zeros((n, 3)), 15.0,
+                   joint_translations={rig.names[0]: walk})  # fmt: skip
+    ours, theirs = pose_pair(moved, moved, floor.names)
+    assert ours == pytest.approx(root_relative(motion, rig.names).reshape(n, -1))
 
 
 def test_srgr_by_hand():

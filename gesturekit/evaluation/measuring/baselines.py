@@ -37,7 +37,7 @@ def baseline_pairs(
     """Return {name: a clip of the baseline for each recording of the first model}.
 
     Args:
-        names: names of `BASELINES`.
+        names: names of `BASELINES`; labels of models that are baselines add nothing.
         models: clips of each model by label.
         reference: the recordings; a manifest with a training split gives the baselines' motion.
         fps: frame rate of the motion.
@@ -47,10 +47,10 @@ def baseline_pairs(
             cannot be made.
         CorpusError: a recording cannot be read.
     """
-    unknown = [name for name in names if name not in BASELINES]
+    unknown = [name for name in names if name not in BASELINES and name not in models]
     if unknown:
         raise EvaluationError(f"baseline {unknown[0]!r}; expected one of {', '.join(BASELINES)}")
-    taken = [name for name in names if name in models]
+    taken = [name for name in names if name in BASELINES and name in models]
     if taken:
         raise EvaluationError(f"baseline {taken[0]!r} has the label of a model; rename its folder")
     every = recordings(reference)
@@ -59,7 +59,7 @@ def baseline_pairs(
     first = next(iter(models.values()))
     windows = {pair.of: pair for pair in first.pairs}
     made = {}
-    for name in names:
+    for name in (name for name in names if name in BASELINES):
         make = BASELINES[name](every, source, fps)
         made[name] = Pairs([_pair(pair, fps, make) for pair in windows.values()])
     return made

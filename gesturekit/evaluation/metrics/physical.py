@@ -26,6 +26,7 @@ from gesturekit.corpus.alignment import arm_speed
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import contact_labels, foot_positions
+from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.parts import SIDES, body_joints, find_parts, is_upper_body
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
@@ -326,6 +327,62 @@ def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> floa
     """
     depth = _standing(motion, heights) - _feet(motion)[..., 1]
     return float(np.maximum(depth, 0.0).mean())
+
+
+def feet_above_floor(motion: Motion, heights: np.ndarray | None = None) -> float:
+    """Return how high the lowest foot point is above its standing height, nearly always, metres.
+
+    The 5 % quantile over frames; 0 where a foot is on the ground now and then.
+
+    Args:
+        motion: any number of frames.
+        heights: (F,) standing heights, metres; None takes the motion's own, which cannot
+            detect that the whole body is too high.
+
+    Raises:
+        MotionError: no legs, or none that can be identified.
+
+    Examples:
+        A body that floats half a metre above the floor of its recording:
+
+        >>> rig = gk.load("demo").skeleton
+        >>> still = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1))
+        >>> low, high = (gk.Motion(rig, still, np.full((30, 3), y), 30) for y in (0, 0.5))
+        >>> round(feet_above_floor(high, standing_heights(low)), 6)
+        0.5
+    """
+    lowest = (_feet(motion)[..., 1] - _standing(motion, heights)).min(axis=1)
+    return max(0.0, float(np.quantile(lowest, 0.05)))
+
+
+def bone_length_change(motion: Motion, joints: Sequence[str] | None = None) -> float:
+    """Return the standard deviation over time of the bone that changes most, over its mean length.
+
+    Bones end at joints below the first one that moves, and are 1 cm long or more.
+
+    Args:
+        motion: any number of frames.
+        joints: names of the joints; None takes the body joints.
+
+    Raises:
+        MotionError: body parts that cannot be identified.
+
+    Examples:
+        A forearm that is 0.2 m long in one half of the frames, and 0.3 m in the other:
+
+        >>> rig = gk.Skeleton(("elbow", "wrist"), (-1, 0), [[0, 0, 0], [0, 0.2, 0]])
+        >>> moving = {"wrist": [(0, 0.2, 0), (0, 0.3, 0)]}
+        >>> still = np.tile([0.0, 0, 0, 1], (2, 2, 1))
+        >>> walk = [(0, 0, 0), (1, 0, 0)]
+        >>> motion = gk.Motion(rig, still, walk, 30, joint_translations=moving)
+        >>> round(bone_length_change(motion, rig.names), 6)
+        0.2
+    """
+    rig, names = motion.skeleton, body_joints(motion.skeleton) if joints is None else joints
+    below = {rig.names[j] for j in rig.descendants(first_moving_joint([motion]))} & set(names)
+    places = [places for name, places in motion.joint_translations.items() if name in below]
+    lengths = [np.linalg.norm(path, axis=-1) for path in places]
+    return max((float(a.std() / a.mean()) for a in lengths if a.mean() > 0.01), default=0.0)
 
 
 def _feet(motion: Motion) -> np.ndarray:

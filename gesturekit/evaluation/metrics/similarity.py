@@ -10,8 +10,9 @@ import numpy as np
 from audio_features import FeatureTrack
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.physical import joint_paths
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.model_joints import first_moving_joint
+from gesturekit.motion.parts import known_parts
 from gesturekit.motion.parts.body_size import body_scale
 
 _STILL = 1e-6  # fraction of a pose's extent; a column that varies less is constant
@@ -110,10 +111,23 @@ def cca(generated: np.ndarray, reference: np.ndarray) -> float:
 def pose_pair(
     motion: Motion, recording: Motion, joints: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the poses (T, 3 (J - 1)) of both motions over their common frames, metres."""
+    """Return the poses (T, 3 (J - 1)) of both motions over their common frames, metres.
+
+    Relative to the pelvis are those below it: joints above may lie on the floor. Where it is not
+    known, or not among `joints`, all are relative to the first one.
+    """
+    parts = known_parts(recording.skeleton)
+    if parts is not None and parts.pelvis in joints:
+        joints = _and_below(recording.skeleton, parts.pelvis, joints)
     n = min(motion.n_frames, recording.n_frames)
     ours, theirs = (root_relative(m, joints)[:n].reshape(n, -1) for m in (motion, recording))
     return ours, theirs
+
+
+def _and_below(rig: Skeleton, root: str, joints: Sequence[str]) -> list[str]:
+    """Return a joint and those of `joints` that are below it."""
+    below = {rig.names[j] for j in rig.descendants(rig.index(root))}
+    return [root, *(name for name in joints if name in below)]
 
 
 def pose_cca(motion: Motion, recording: Motion, joints: Sequence[str]) -> float:
@@ -157,10 +171,9 @@ def pose_rmse(motion: Motion, recording: Motion, joints: Sequence[str]) -> float
         >>> [pose_rmse(m, recording, rig.names) for m in (moved, recording.scaled(2))]
         [0.0, 0.5]
     """
-    rig, root = recording.skeleton, first_moving_joint([recording])
-    below = {rig.names[j] for j in rig.descendants(root)}
-    names = [rig.names[root], *(name for name in joints if name in below)]
-    ours, theirs = (side.reshape(len(side), -1, 3) for side in pose_pair(motion, recording, names))
+    rig, n = recording.skeleton, min(motion.n_frames, recording.n_frames)
+    names = _and_below(rig, rig.names[first_moving_joint([recording])], joints)
+    ours, theirs = (root_relative(side, names)[:n] for side in (motion, recording))
     # In the ground plane x + iz, the turn by least squares is the angle of sum conj(p) q.
     flat, goal = (side[..., 0] + 1j * side[..., 2] for side in (ours, theirs))
     turned = flat * np.exp(1j * np.angle(np.vdot(flat, goal)))

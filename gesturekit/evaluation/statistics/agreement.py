@@ -124,7 +124,7 @@ def _of_question(
     question: str, models: Sequence[ModelResult], scores: Scores, seed: int
 ) -> QuestionAgreement:
     """Return the agreement of all metrics with the scores for one question."""
-    metrics = []
+    metrics, tested = [], {}
     for key in DEFINITIONS:
         values = metric_values(models, key, scores.systems, seed)
         kept = np.array([i for i, name in enumerate(scores.systems) if name in values], int)
@@ -132,11 +132,11 @@ def _of_question(
             continue
         metric, *drawn = np.array([values[scores.systems[i]] for i in kept]).T
         if np.ptp(metric) > 0:
-            found = agreement_of(key, metric, np.array(drawn), scores, kept, seed)
+            found, p = agreement_of(key, metric, np.array(drawn), scores, kept, seed)
             known = all(m.metrics[key].informative for m in models if key in m.metrics)
-            p = found.p_holm if known else None
-            metrics.append(replace(found, informative=known, p_holm=p))
-    tested = {one.key: one.p_holm for one in metrics if one.p_holm is not None}
+            metrics.append(replace(found, informative=known))
+            if known and p is not None:
+                tested[key] = p
     adjusted = dict(zip(tested, holm(list(tested.values())).tolist(), strict=True))
     metrics = [replace(one, p_holm=adjusted.get(one.key)) for one in metrics]
     return QuestionAgreement(
@@ -156,8 +156,8 @@ def agreement_of(
     scores: Scores,
     kept: np.ndarray,
     seed: int = 0,
-) -> MetricAgreement:
-    """Return the agreement of one metric with people.
+) -> tuple[MetricAgreement, float | None]:
+    """Return the agreement of one metric with people, and the p-value of its `of_models` alone.
 
     Args:
         key: key of `definitions`.
@@ -166,8 +166,6 @@ def agreement_of(
         scores: people's scores.
         kept: (k,) indices of systems in `scores`.
         seed: seed of the bootstrap.
-
-    Its p-value is that of one test: the caller adjusts it for all metrics.
     """
     from scipy.stats import kendalltau, spearmanr
 
@@ -183,11 +181,11 @@ def agreement_of(
     i, j = np.triu_indices(n, 1)
     certain = scores.differ[np.ix_(kept, kept)][i, j]
     same = (np.sign(metric[i] - metric[j]) * np.sign(people[i] - people[j]))[certain]
-    return MetricAgreement(
+    found = MetricAgreement(
         key,
         float(kendalltau(metric, people).statistic),
         of_models,
-        p,
+        None,
         low,
         high,
         float(spearmanr(metric, people).statistic),
@@ -196,6 +194,7 @@ def agreement_of(
         n,
         chance_range(n),
     )
+    return found, p
 
 
 def _interval(

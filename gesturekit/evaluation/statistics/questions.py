@@ -122,6 +122,13 @@ def defects(metrics: Results) -> str:
     if more > (thresholds.FAR_BEYOND_LIMITS if alien and empty else thresholds.BEYOND_LIMITS):
         found.append(f"{beyond:.0f} % of joint rotations are beyond the recordings' range")
         what = "broken" if more > thresholds.BEYOND_LIMITS else "broken, or another speaker's"
+    for key, limit, text in (
+        ("feet_above_floor", thresholds.FLOATING, "the feet are {:.0f} mm above the floor"),
+        ("bone_length_change", thresholds.STRETCHED, "bones change their length by {:.0f} %"),
+    ):
+        if (value(key) or 0.0) - own(key) > limit:
+            found.append(text.format(value(key)))
+            what = "broken"
     shaken = _ratio(metrics, "jerk_genea")
     if shaken is not None and shaken > thresholds.SHAKEN:
         found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")
