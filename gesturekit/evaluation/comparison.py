@@ -51,7 +51,7 @@ from gesturekit.evaluation.pairs import (
 from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
 from gesturekit.evaluation.statistics.intervals import interval_over_samples
 from gesturekit.evaluation.statistics.model_metrics import metric_results
-from gesturekit.evaluation.statistics.questions import answer_questions, verdict
+from gesturekit.evaluation.statistics.questions import answer_questions
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
 from gesturekit.wording import listed
@@ -336,8 +336,6 @@ def _fill(
         clip.metrics |= values
     of_set = whole.metrics | frechet.metrics
     result.metrics = metric_results(result.clips, of_set, measurer.ceilings, likeness)
-    if POOLED in options.groups:
-        result.verdict = verdict(result.metrics)
     if PATCHES in options.groups:
         result.by_recording = _by_recording(result.clips)
     result.speeds, result.wrists = whole.speeds, whole.wrists

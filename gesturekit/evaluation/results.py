@@ -399,7 +399,9 @@ class Evaluation:
     def verdicts(self) -> list[str]:
         """Return the verdict of each model that has one; several models are named."""
         named = len(self.models) > 1
-        return [f"{m.label}: {m.verdict}" if named else m.verdict for m in self.models if m.verdict]
+        return [
+            f"{m.heading}: {m.verdict}" if named else m.verdict for m in self.models if m.verdict
+        ]
 
     @property
     def basis(self) -> str:

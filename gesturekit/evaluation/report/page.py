@@ -46,7 +46,7 @@ from gesturekit.evaluation.statistics.questions import same_verdicts
 from gesturekit.motion import Motion
 from gesturekit.viewer import player_data, player_shell
 from gesturekit.viewer.pages import plots_section, script_json
-from gesturekit.wording import counted
+from gesturekit.wording import counted, listed
 
 EACH = 2
 """Largest number of best and of worst clips that are shown."""
@@ -88,13 +88,13 @@ def write_report(
     """
     evaluation = _with_short_names(evaluation)
     models, groups = evaluation.models, rows.rows_by_group(evaluation)
-    names = ", ".join(model.label for model in models)
+    names = listed([model.label for model in models], 12)
     shown = best_and_worst(evaluation, body)
     patch_metrics, recording_rows = _by_recording(evaluation)
     values = dict(
         evaluation=evaluation,
         models=models,
-        title=title or f"{names} against {evaluation.reference.name}",
+        title=title or f"{names} against the recordings in {evaluation.reference.name}",
         below_verdicts=[*same_verdicts(models), *_glossary(evaluation)],
         facts=_facts(evaluation),
         warnings=_warnings(evaluation),

@@ -145,7 +145,7 @@ def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
         if takes.count >= takes.needed:
             return ""
         return (
-            f"the clips come from {takes.in_words}: no intervals, and nothing is bold. "
+            f"the clips come from {takes.in_words}: no intervals and no tests. "
             "Differences between takes (recording sessions) cannot be estimated from fewer than "
             f"{takes.needed}; more clips or samples (seeds) of the same takes do not change that. "
             f"Hold out {takes.needed} or more takes"

@@ -156,7 +156,7 @@ def likeness_result(
         "likeness",
         Interval(value, low, high, clips, 1 if pieces else takes, "takes", speakers),
         recording=1.0,
-        note=f"the speaker's own score against disjoint sets of {compared}: {own:.2f}",
+        note=f"shares of the score of the speaker's other {compared}, {own:.2f}",
         informative=own >= LEAST_OWN,
         ceiling=levels.get(CEILING),
         floors=tuple(level for name, level in levels.items() if name != CEILING),

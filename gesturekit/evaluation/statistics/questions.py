@@ -44,11 +44,12 @@ Results = Mapping[str, MetricResult]
 
 
 def answer_questions(models: Sequence[ModelResult]) -> None:
-    """Answer the three questions for each model; models that ignore speech are floors of timing."""
+    """Give each model answers and a verdict; models that ignore speech are floors of timing."""
     add_speech_blind_floors(models)
     mark_reached_floors(models)
     for model in models:
         model.answers = answers_of(model.clips, model.metrics)
+        model.verdict = verdict(model.metrics)
 
 
 def answers_of(clips: Sequence[ClipResult], metrics: Results) -> list[QuestionAnswer]:
@@ -282,7 +283,7 @@ _RATIO_WORDS = {
 
 
 def verdict(metrics: Mapping[str, MetricResult]) -> str:
-    """Return a sentence about reach, speed, rests, timing and copying; "" if nothing is known.
+    """Return a sentence on reach, speed, rests, timing, copying, likeness; "" if nothing is known.
 
     Args:
         metrics: results of a model by key of `definitions`, each with the recording's value.
@@ -297,6 +298,7 @@ def verdict(metrics: Mapping[str, MetricResult]) -> str:
         *_rest_words(metrics),
         *_timing_words(metrics),
         *_copying_words(metrics),
+        *_likeness_words(metrics),
     ]
     text = ", ".join(phrases)
     return f"{text[0].upper()}{text[1:]}." if text else ""
@@ -340,34 +342,34 @@ def in_words(ratio: float) -> str:
 
 
 def _movement_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
-    reach, fast = _ratio(metrics, "reach"), _ratio(metrics, "hand_q90")
-    if reach is not None:
-        share = "" if _within(reach, thresholds.ALIKE) else f"{in_words(reach)} "
-        yield f"{share}the speaker's reach"
-    if fast is not None and not _within(fast, thresholds.ALIKE):
-        yield f"fast gestures at {in_words(fast)} the speaker's speed"
+    said = {"reach": "has {}the speaker's reach"}
+    said["hand_q90"] = "its fast gestures have {}the speaker's speed"
+    for key, text in said.items():
+        if (ratio := _ratio(metrics, key)) is not None:
+            alike = _within(ratio, thresholds.ALIKE)
+            yield text.format("" if alike else f"{in_words(ratio)} ")
 
 
 def _rest_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
     rest, still = metrics.get("rest"), metrics.get("near_still")
     if still is not None and still.interval.value > (still.recording or 0.0) + thresholds.FROZEN:
-        yield f"hands frozen in {still.interval.value:.0f} % of the time"
+        yield f"its hands are frozen in {still.interval.value:.0f} % of the time"
     elif rest is not None and rest.recording and rest.recording >= thresholds.FEW_RESTS:
         ratio = rest.interval.value / rest.recording
         if ratio < thresholds.HARDLY_EVER:
-            yield "hardly ever at rest"
+            yield "is hardly ever at rest"
         elif ratio < thresholds.RESTS_ALIKE[0]:
-            yield "seldom at rest"
+            yield "is seldom at rest"
         elif ratio > thresholds.RESTS_ALIKE[1]:
-            yield "at rest more often than the speaker"
+            yield "is at rest more of the time than the speaker"
         else:
-            yield "at rest as often as the speaker"
+            yield "is at rest as much of the time as the speaker"
 
 
 def _timing_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
     calm, sync = metrics.get("calm_lively_r"), metrics.get("sync")
     if calm is not None and calm.informative and calm.interval.value < thresholds.FOLLOWS:
-        yield "calm and lively at other times than the speaker"
+        yield "is calm and lively at other times than the speaker"
     if sync is None or sync.recording is None:
         return
     levels = [level for level in (sync.mismatched, sync.chance) if level is not None]
@@ -375,25 +377,38 @@ def _timing_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
     ours, own = sync.interval.value - chance, sync.recording - chance
     if own < thresholds.LEAST_SYNC or not sync.informative:
         if "in_time" in metrics and _above_chance(metrics):
-            yield "in time with the speech more than by chance"
+            yield "is in time with the speech more than by chance"
     elif ours >= thresholds.IN_TIME * own:
-        yield "in time with the speech"
+        yield "is in time with the speech"
     elif ours >= thresholds.LOOSELY_IN_TIME * own:
-        yield "loosely in time with the speech"
+        yield "is loosely in time with the speech"
     else:
-        yield "not in time with the speech"
+        yield "is not in time with the speech"
 
 
 def _copying_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
     median, low = _ratio(metrics, "copying"), _ratio(metrics, "copying_low")
     if median is not None and median < thresholds.COPIED:
-        yield "mostly copied from recordings"
+        yield "is mostly copied from recordings"
     elif (_ratio(metrics, "reach") or 1.0) < thresholds.ALIKE[0]:
         return  # small motion is near to any
     elif median is not None and median < thresholds.NEAR:
-        yield "partly copied from recordings"
+        yield "is partly copied from recordings"
     elif low is not None and low < thresholds.OCCASIONALLY_COPIED:
-        yield "occasionally copied from recordings"
+        yield "is occasionally copied from recordings"
+
+
+_LIKENESS_WORDS = {
+    "yes": "moves like the speaker",
+    "partly": "moves only somewhat like the speaker",
+    "no": "does not move like the speaker",
+}
+
+
+def _likeness_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+    state, _ = _likeness(metrics)
+    if state in _LIKENESS_WORDS:
+        yield _LIKENESS_WORDS[state]
 
 
 def _ratio(metrics: Mapping[str, MetricResult], key: str) -> float | None:
