@@ -58,10 +58,8 @@ def phones_of(speech: Wave, openness: np.ndarray, transcript: str | None) -> lis
     phones, pcm = [], _pcm(speech, _NOISES[0])
     for start, stop in _pieces(speech.duration, openness):
         _decode(decoder, pcm[round(start * _RATE) : round(stop * _RATE)])
-        phones += [
-            _phone(found.word, found.start_frame, found.end_frame + 1, start)
-            for found in decoder.seg() or ()
-        ]
+        parts = decoder.seg() or ()
+        phones += [_phone(part.word, part.start_frame, part.end_frame + 1, start) for part in parts]
     return phones
 
 
