@@ -1,10 +1,9 @@
 """Blinks and small eye movements, drawn while time goes on.
 
-Blinks: gaps are log-normal with the mean rate of people who talk (Bentivoglio et al. 1997), and
-a blink that is due soon is moved to the beginning of a pause, where people blink more often. Lids
-close in half the
-time in which they open (VanderWerf et al. 2003). Gaze: fixations around the middle, joined by
-saccades that take 25 ms and 2.2 ms a degree (Lee, Badler and Badler, "Eyes Alive", 2002).
+Blinks: gaps are log-normal, 17 a minute (people at rest in Bentivoglio et al. 1997), and a blink
+that is due soon is moved to the beginning of a pause, where people blink more often. Lids close in
+half the time in which they open (VanderWerf et al. 2003). Gaze: fixations around the middle, joined
+by saccades that take 25 ms and 2.2 ms a degree (Lee, Badler and Badler, "Eyes Alive", 2002).
 """
 
 from __future__ import annotations

@@ -27,9 +27,8 @@ _ALIGNED = 120
 """Seconds of the longest sound to which a transcript is aligned; memory grows with the square."""
 _NOISES = (20.0, 60.0, 5.0, 180.0)
 """Standard deviations of added noise, in steps of 16-bit sound, until an alignment succeeds."""
-_LONGEST_TEXT = 100_000
-_FASTEST = 10
-"""Words a second that nobody exceeds."""
+_FASTEST = 60
+"""Letters a second that nobody exceeds."""
 _SOUNDS = "AE B K D EH F G HH IH JH K L M N AA P K R S T AH V W K Y Z"
 _LETTERS = dict(zip(ascii_lowercase, _SOUNDS.split(), strict=True))
 """Sounds of letters, for words that are not in the dictionary."""
@@ -59,10 +58,8 @@ def phones_of(speech: Wave, openness: np.ndarray, transcript: str | None) -> lis
     phones, pcm = [], _pcm(speech, _NOISES[0])
     for start, stop in _pieces(speech.duration, openness):
         _decode(decoder, pcm[round(start * _RATE) : round(stop * _RATE)])
-        phones += [
-            _phone(found.word, found.start_frame, found.end_frame + 1, start)
-            for found in decoder.seg() or ()
-        ]
+        parts = decoder.seg() or ()
+        phones += [_phone(part.word, part.start_frame, part.end_frame + 1, start) for part in parts]
     return phones
 
 
@@ -96,15 +93,15 @@ def _pieces(seconds: float, openness: np.ndarray) -> list[tuple[float, float]]:
 
 def _aligned(pocketsphinx: Any, speech: Wave, transcript: str) -> list[Phone]:
     """Return the phones of a transcript; none, with a warning, if it cannot be aligned."""
-    text = transcript[:_LONGEST_TEXT].lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
-    words, seconds = re.findall(r"[a-z][a-z']*", text), speech.duration
+    text = transcript.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
+    words, seconds = re.findall(r"[a-z]+(?:'[a-z]+)*", text), speech.duration
     reason = "does not fit the sound"
     if not words:
         reason = "has no English words"
     elif seconds > _ALIGNED:
         reason = f"is for {seconds:.0f} s of sound, and at most {_ALIGNED} s can be aligned"
-    elif len(words) > 10 + _FASTEST * seconds:
-        reason = f"has {len(words)} words for {seconds:.1f} s of sound"
+    elif (letters := sum(map(len, words))) > 100 + _FASTEST * seconds:
+        reason = f"has {letters} letters for {seconds:.1f} s of sound"
     else:
         decoder = pocketsphinx.Decoder(lm=None, loglevel="FATAL")
         unknown = [word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None]
