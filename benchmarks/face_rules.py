@@ -11,6 +11,7 @@ import ctypes
 import time
 from dataclasses import replace
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 import espeakng_loader
@@ -29,7 +30,7 @@ SENTENCES = (
     "He said this is the easiest thing to do. Nine children sing in a garden.",
 )
 VOICES = ("en-us", "en-us+f3")
-FPS, CLOSED, LAGS = 30, 0.02, range(-9, 10)
+RATE, FPS, CLOSED, LAGS, JAW = 16_000, 30, 0.02, range(-9, 10), 66
 VOWELS = "aeiouAEIOUV03@"
 
 
@@ -42,9 +43,8 @@ class Event(ctypes.Structure):
     ]
 
 
-CALLBACK = ctypes.CFUNCTYPE(
-    ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.POINTER(Event)
-)
+_SOUND, _EVENTS = ctypes.POINTER(ctypes.c_short), ctypes.POINTER(Event)
+CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, _SOUND, ctypes.c_int, _EVENTS)
 PHONEME = 7
 
 
@@ -58,11 +58,9 @@ def spoken(voice: str) -> list[tuple[af.Wave, list[tuple[str, float, float]]]]:
     def collect(samples, count, events) -> int:
         if samples and count > 0:
             blocks.append(np.ctypeslib.as_array(samples, (count,)).copy())
-        i = 0
-        while events[i].type:
-            if events[i].type == PHONEME:
-                marks.append((events[i].phone.decode(), events[i].sample / rate))
-            i += 1
+        for event in takewhile(lambda event: event.type, events):
+            if event.type == PHONEME:
+                marks.append((event.phone.decode(), event.sample / rate))
         return 0
 
     callback = CALLBACK(collect)
@@ -79,8 +77,8 @@ def spoken(voice: str) -> list[tuple[af.Wave, list[tuple[str, float, float]]]]:
     return result
 
 
-def lips(voice: str, method: str, told: bool, snr: float | None) -> str:
-    """Return how often lips are closed at p, b and m, in vowels, and in pauses."""
+def lips(voice: str, method: str, told: bool, snr: float | None) -> dict[str, tuple[float, int]]:
+    """Return how often lips are closed at p, b and m, in vowels and in pauses, and of how many."""
     counts = {"p, b, m": [], "vowels": [], "pauses": []}
     for (wave, phones), text in zip(spoken(voice), SENTENCES, strict=True):
         if snr is not None:
@@ -89,67 +87,58 @@ def lips(voice: str, method: str, told: bool, snr: float | None) -> str:
             wave = replace(wave, samples=wave.samples + noise.astype(np.float32))
         n = wave.n_frames(FPS)
         face = face_from_speech(wave, FPS, n, method, text if told else None)
-        opening = face.channel("jawOpen") - face.channel("mouthClose")
         times = np.arange(n) / FPS
+        closed = face.channel("jawOpen") - face.channel("mouthClose") <= CLOSED
         for name, start, end in phones:
             if name in ("p", "b", "m"):
-                near = opening[(times >= start - 0.5 / FPS) & (times <= end + 0.5 / FPS)]
-                counts["p, b, m"].append(near.min() <= CLOSED)
-            inside = opening[(times >= start) & (times < end)] <= CLOSED
-            if name and name[0] in VOWELS:
-                counts["vowels"] += inside.tolist()
-            middle = opening[(times >= start + 0.15) & (times < end - 0.1)] <= CLOSED
-            if name.startswith("_"):
-                counts["pauses"] += middle.tolist()
-    return ", ".join(f"{name} {np.mean(v):.0%} of {len(v)}" for name, v in counts.items())
+                near = abs(times - (start + end) / 2) <= (end - start) / 2 + 0.5 / FPS
+                counts["p, b, m"].append(closed[near].any())
+            elif name and name[0] in VOWELS:
+                counts["vowels"] += closed[(times >= start) & (times < end)].tolist()
+            elif name.startswith("_"):
+                counts["pauses"] += closed[(times >= start + 0.15) & (times < end - 0.1)].tolist()
+    return {name: (float(np.mean(flags)), len(flags)) for name, flags in counts.items()}
 
 
-def correlations(wave: af.Wave, jaw: np.ndarray, method: str) -> tuple[np.ndarray, float]:
-    """Return r of jawOpen with a recorded jaw at each lag, and the mean r of circular shifts."""
+def correlations(wave: af.Wave, jaw: np.ndarray, method: str) -> np.ndarray:
+    """Return r of jawOpen with a recorded jaw, r at each of LAGS, 95 % quantile of other shifts."""
     if method == "loudness":
         made = wave.rms(np.arange(len(jaw)) / FPS, 0.1)
     else:
         made = face_from_speech(wave, FPS, len(jaw), method).channel("jawOpen")
-    shifted = [np.corrcoef(np.roll(made, k), jaw)[0, 1] for k in range(-len(jaw) // 2, -9)]
-    shifted += [np.corrcoef(np.roll(made, k), jaw)[0, 1] for k in range(10, len(jaw) // 2)]
-    inner = jaw[9:-9]
-    at = [np.corrcoef(made[9 - lag : len(made) - 9 - lag], inner)[0, 1] for lag in LAGS]
-    at[len(at) // 2] = np.corrcoef(made, jaw)[0, 1]
-    return np.array(at), float(np.quantile(shifted, 0.95))
+    most = LAGS[-1]
+    shifts = [np.roll(made, k) for k in range(most + 1, len(jaw) - most)]
+    inner = [made[most + lag : len(made) - most + lag] for lag in LAGS]
+    row = [np.corrcoef(made, jaw)[0, 1]]
+    row += [np.corrcoef(part, jaw[most:-most])[0, 1] for part in inner]
+    return np.array([*row, np.quantile([np.corrcoef(part, jaw)[0, 1] for part in shifts], 0.95)])
 
 
 def recorded(folder: Path, chosen_on: str) -> None:
-    table = {}
+    files = sorted(folder.glob("*.npz"))
+    chosen = np.array([file.stem.startswith(chosen_on) for file in files])
+    sounds = [af.Wave.load(file.with_suffix(".wav")) for file in files]
+    jaws = [np.load(file)["poses"][:, JAW] for file in files]
     for method in ("loudness", "energy", "phones"):
-        for file in sorted(folder.glob("*.npz")):
-            jaw = np.load(file)["poses"][:, 66]
-            pair = correlations(af.Wave.load(file.with_suffix(".wav")), jaw, method)
-            table.setdefault(method, {})[file.stem] = pair
-    for method, rows in table.items():
-        groups = {"chosen on": True, "others": False}
-        for label, chosen in groups.items():
-            some = [pair for stem, pair in rows.items() if stem.startswith(chosen_on) == chosen]
-            curves = np.mean([curve for curve, _ in some], axis=0)
-            lag, chance = LAGS[int(curves.argmax())], np.mean([chance for _, chance in some])
-            each = " ".join(f"{curve[9]:+.2f}" for curve, _ in some)
-            print(
-                f"{method:9} {label:10} r {curves[9]:+.3f} ({each}), highest {curves.max():.3f} at "
-                f"{1000 * lag / FPS:+.0f} ms, 95 % of circular shifts of a clip below {chance:.2f}"
-            )
+        rows = [correlations(*pair, method) for pair in zip(sounds, jaws, strict=True)]
+        for label, group in (("chosen on", chosen), ("others", ~chosen), ("all", chosen | True)):
+            some = np.array(rows)[group]
+            r, *curve, chance = some.mean(axis=0)
+            lag = 1000 * LAGS[int(np.argmax(curve))] / FPS
+            each = " ".join(f"{value:.2f}" for value in some[:, 0])
+            print(f"{method} | {label} | {r:.3f} | {each} | {chance:.2f} | {lag:+.0f} ms late")
 
 
 def speed_and_blinks() -> None:
-    words, _ = zip(*(pair for voice in VOICES for pair in spoken(voice)), strict=True)
-    samples = np.concatenate([wave.resample(16_000).samples for wave in words])
-    wave = af.Wave(np.tile(samples, 1 + 180 * 16_000 // len(samples))[: 180 * 16_000], 16_000)
+    samples = np.concatenate([wave.resample(RATE).samples for wave, _ in spoken(VOICES[0])])
+    wave = af.Wave(np.resize(samples, 180 * RATE), RATE)
     for method in ("energy", "phones"):
         begun = time.process_time()
-        face = face_from_speech(wave, FPS, 180 * FPS, method)
+        lids = face_from_speech(wave, FPS, 180 * FPS, method).channel("eyeBlinkLeft")
         speed = 180 / (time.process_time() - begun)
-        blinks = np.flatnonzero(np.diff((face.channel("eyeBlinkLeft") > 0.5).astype(int)) == 1)
-        counts = np.bincount(blinks // (60 * FPS), minlength=3).tolist()
-        print(f"{method}: {speed:.0f} x real time, blinks in each minute {counts}")
-    live, begun = EnergyFace(16_000, FPS), time.process_time()
+        blinks = np.flatnonzero(np.diff((lids > 0.5).astype(int)) == 1) // (60 * FPS)
+        print(f"{method}: {speed:.0f} x real time, blinks a minute {np.bincount(blinks).tolist()}")
+    live, begun = EnergyFace(RATE, FPS), time.process_time()
     for first in range(0, len(wave.samples), 640):
         live.step(wave.samples[first : first + 640])
     speed = 180 / (time.process_time() - begun)
@@ -165,8 +154,9 @@ def main() -> None:
     for voice in VOICES:
         for snr in (None, 20.0, 10.0):
             for method, told in (("phones", True), ("phones", False), ("energy", False)):
-                label = f"{voice}, SNR {snr or 'none'}, {method}{' of a transcript' * told}"
-                print(f"{label}: closed at {lips(voice, method, told, snr)}")
+                label = f"{voice}, SNR {snr or 'none'}, {method}{', transcript' * told}"
+                shares = lips(voice, method, told, snr)
+                print(f"{label} |", " | ".join(f"{share:.0%}" for share, _ in shares.values()))
     if options.recordings:
         recorded(options.recordings, options.chosen_on)
 

@@ -29,6 +29,7 @@ PACKAGES = (
     "gesturekit.evaluation",
     "gesturekit.study",
     "gesturekit.postprocess",
+    "gesturekit.face",
     "gesturekit.viewer",
     "gesturekit.multires",
     "gesturekit.inspection",

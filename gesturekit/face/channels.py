@@ -9,10 +9,8 @@ _MOUTH_SIDES = ("mouthPress", "mouthStretch", "mouthLowerDown", "mouthUpperUp")
 SHAPES = (*MOUTH, *_MOUTH_SIDES)
 """Shapes of the mouth in the order of their columns; the last four have a left and a right."""
 _EYES = ("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp")
-NAMES = (
-    *MOUTH,
-    *(name + side for name in (*_MOUTH_SIDES, *_EYES) for side in ("Left", "Right")),
-)
+_SIDED = [name + side for name in (*_MOUTH_SIDES, *_EYES) for side in ("Left", "Right")]
+NAMES = (*MOUTH, *_SIDED)
 """Names of the columns of `channels`."""
 _FULL_LOOK = 30.0
 """Degrees of gaze at which ARKit's eyeLook shapes are 1."""

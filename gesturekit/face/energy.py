@@ -15,6 +15,7 @@ import numpy as np
 from audio_features import Wave, speech_only
 from audio_features.acoustic.analysis import HOP, N_FFT, SAMPLE_RATE, short_time_power
 from audio_features.acoustic.streaming import REACH, SpectrumStream
+from gesturekit.errors import MotionError
 from gesturekit.face.channels import NAMES, SHAPES, channels
 from gesturekit.face.eyes import RATE, Eyes
 
@@ -125,9 +126,16 @@ class EnergyFace:
         self._first = self._n_frames = 0
 
     def step(self, samples: np.ndarray) -> np.ndarray:
-        """Return the values (n, E) of the frames that the next samples (N,) make final."""
+        """Return the values (n, E) of the frames that the next samples (N,) make final.
+
+        Raises:
+            MotionError: samples that are not finite.
+        """
+        samples = np.asarray(samples, np.float32)
+        if not np.isfinite(samples).all():
+            raise MotionError("samples that are not finite; a face needs finite samples (N,)")
         values, done = [np.empty((0, len(NAMES)))], [self._sound.n_frames]
-        for _ in self._sound.push(np.asarray(samples, np.float32), lambda: done[-1] + _STEP):
+        for _ in self._sound.push(samples, lambda: done[-1] + _STEP):
             spectrum, _ = self._sound.window((self._sound.n_frames - done[-1]) / RATE)
             done.append(self._sound.n_frames)
             bands = _bands(spectrum.power)

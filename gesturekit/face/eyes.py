@@ -1,10 +1,9 @@
 """Blinks and small eye movements, drawn while time goes on.
 
-Blinks: gaps are log-normal with the mean rate of people who talk (Bentivoglio et al. 1997), and
-a blink that is due soon is moved to the beginning of a pause, where people blink more often. Lids
-close in half the
-time in which they open (VanderWerf et al. 2003). Gaze: fixations around the middle, joined by
-saccades that take 25 ms and 2.2 ms a degree (Lee, Badler and Badler, "Eyes Alive", 2002).
+Blinks: gaps are log-normal, 17 a minute (people at rest in Bentivoglio et al. 1997), and a blink
+that is due soon is moved to the beginning of a pause, where people blink more often. Lids close in
+half the time in which they open (VanderWerf et al. 2003). Gaze: fixations around the middle, joined
+by saccades that take 25 ms and 2.2 ms a degree (Lee, Badler and Badler, "Eyes Alive", 2002).
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ RATE = 100
 """Values per second."""
 _GAP, _SPREAD = 3.6, 0.5
 """Mean seconds between blinks, and standard deviation of their logarithm."""
-_PAUSE, _SOON = 0.15, 1.5
+_PAUSE, _SOON = 0.25, 1.5
 """Seconds of silence that are a pause, and before a blink is due in which a pause moves it."""
 _CLOSING, _CLOSED, _OPENING = 0.08, 0.03, 0.17
 _FIXATION, _SHORTEST = 1.4, 0.25

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from contextlib import suppress
 from string import ascii_lowercase
 from typing import Any
 
@@ -22,10 +23,12 @@ _CENTRE = 0.008
 """Seconds from the beginning of a frame to where the phones of it and of the one before meet."""
 _SHORTEST, _LONGEST = 10, 20
 """Seconds of sound that are searched at a time."""
-_ALIGNED = 600
-"""Seconds of the longest sound to which a transcript is aligned; memory grows with it."""
-_FASTEST = 10
-"""Words a second that nobody exceeds."""
+_ALIGNED = 120
+"""Seconds of the longest sound to which a transcript is aligned; memory grows with the square."""
+_NOISES = (20.0, 60.0, 5.0, 180.0)
+"""Standard deviations of added noise, in steps of 16-bit sound, until an alignment succeeds."""
+_FASTEST = 60
+"""Letters a second that nobody exceeds."""
 _SOUNDS = "AE B K D EH F G HH IH JH K L M N AA P K R S T AH V W K Y Z"
 _LETTERS = dict(zip(ascii_lowercase, _SOUNDS.split(), strict=True))
 """Sounds of letters, for words that are not in the dictionary."""
@@ -47,22 +50,24 @@ def phones_of(speech: Wave, openness: np.ndarray, transcript: str | None) -> lis
     except ImportError as error:
         how = "pip install 'gesturekit[face]', or take method energy"
         raise MotionError(f"phones need pocketsphinx, which is not installed: {how}") from error
-    pcm = (speech.samples * 32767.0).clip(-32768, 32767).astype(np.int16)
-    if transcript is not None:
-        phones = _aligned(pocketsphinx, pcm, transcript)
-        if phones:
-            return phones
+    if transcript is not None and (phones := _aligned(pocketsphinx, speech, transcript)):
+        return phones
     lm = pocketsphinx.get_model_path("en-us/en-us-phone.lm.bin")
     settings = {"beam": 1e-20, "pbeam": 1e-20, "lw": 2.0}  # of PocketSphinx's documentation
     decoder = pocketsphinx.Decoder(allphone=lm, lm=None, dict=None, loglevel="FATAL", **settings)
-    phones = []
-    for start, stop in _pieces(len(pcm) / _RATE, openness):
+    phones, pcm = [], _pcm(speech, _NOISES[0])
+    for start, stop in _pieces(speech.duration, openness):
         _decode(decoder, pcm[round(start * _RATE) : round(stop * _RATE)])
-        phones += [
-            _phone(found.word, found.start_frame, found.end_frame + 1, start)
-            for found in decoder.seg() or ()
-        ]
+        parts = decoder.seg() or ()
+        phones += [_phone(part.word, part.start_frame, part.end_frame + 1, start) for part in parts]
     return phones
+
+
+def _pcm(speech: Wave, noise: float) -> np.ndarray:
+    """Return 16-bit samples with noise, because PocketSphinx loses its way in digital silence."""
+    samples = speech.samples * 32767.0
+    samples += noise * np.random.default_rng(0).standard_normal(len(samples), np.float32)
+    return samples.clip(-32768, 32767).astype(np.int16)
 
 
 def _decode(decoder: Any, pcm: np.ndarray) -> None:
@@ -86,36 +91,37 @@ def _pieces(seconds: float, openness: np.ndarray) -> list[tuple[float, float]]:
     return list(zip(cuts, [*cuts[1:], seconds], strict=True))
 
 
-def _aligned(pocketsphinx: Any, pcm: np.ndarray, transcript: str) -> list[Phone]:
+def _aligned(pocketsphinx: Any, speech: Wave, transcript: str) -> list[Phone]:
     """Return the phones of a transcript; none, with a warning, if it cannot be aligned."""
-    words = re.findall(
-        r"[a-z][a-z']*", transcript.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
-    )
-    seconds = len(pcm) / _RATE
-    reason = None
+    text = transcript.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
+    words, seconds = re.findall(r"[a-z]+(?:'[a-z]+)*", text), speech.duration
+    reason = "does not fit the sound"
     if not words:
         reason = "has no English words"
     elif seconds > _ALIGNED:
         reason = f"is for {seconds:.0f} s of sound, and at most {_ALIGNED} s can be aligned"
-    elif len(words) > 10 + _FASTEST * seconds:
-        reason = f"has {len(words)} words for {seconds:.1f} s of sound"
+    elif (letters := sum(map(len, words))) > 100 + _FASTEST * seconds:
+        reason = f"has {letters} letters for {seconds:.1f} s of sound"
     else:
         decoder = pocketsphinx.Decoder(lm=None, loglevel="FATAL")
         unknown = [word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None]
         for word in unknown:
-            spelled = " ".join(_LETTERS[letter] for letter in word if letter in _LETTERS)
-            decoder.add_word(word, spelled, True)
+            sounds = [_LETTERS[letter] for letter in word.replace("'", "")]
+            decoder.add_word(word, " ".join(sounds), True)
         if unknown:
-            names = listed(unknown)
-            log.warning("Not in the dictionary, read letter by letter: %s", names)
-        try:
-            decoder.set_align_text(" ".join(words))
-            _decode(decoder, pcm)
-            decoder.set_alignment()
-            _decode(decoder, pcm)
-            phones = [phone for word in decoder.get_alignment() for phone in word]
-            return [_phone(p.name, p.start, p.start + p.duration) for p in phones]
-        except (RuntimeError, TypeError):
-            reason = "does not fit the sound"
+            log.warning("Not in the dictionary, read letter by letter: %s", listed(unknown))
+        for noise in _NOISES:
+            with suppress(RuntimeError):
+                return _align(decoder, " ".join(words), _pcm(speech, noise))
     log.warning("The transcript %s; phones are found without it", reason)
     return []
+
+
+def _align(decoder: Any, text: str, pcm: np.ndarray) -> list[Phone]:
+    """Return the phones of a text, found in two passes; raise RuntimeError if they fail."""
+    decoder.set_align_text(text)
+    _decode(decoder, pcm)
+    decoder.set_alignment()
+    _decode(decoder, pcm)
+    phones = [phone for word in decoder.get_alignment() or () for phone in word]
+    return [_phone(found.name, found.start, found.start + found.duration) for found in phones]

@@ -36,9 +36,10 @@ def face_from_speech(
         speech: the sound; its level does not matter.
         fps: frames per second; frame k is at k / fps s.
         n_frames: T.
-        method: "energy" opens the mouth by loudness and voicing, in any language; "phones" shapes
-            it by English phones that PocketSphinx finds.
-        transcript: English words that are spoken, for "phones".
+        method: "energy" opens the mouth by the loudness of the voice, in any language; "phones"
+            shapes it by English phones that PocketSphinx finds.
+        transcript: English words that are spoken, for "phones"; a warning says what of it is no
+            help, such as words that are not in the dictionary.
         seed: of blinks and gaze.
         item: name of the utterance; other names blink at other times.
 
@@ -46,7 +47,7 @@ def face_from_speech(
         T frames of ARKit's channels of mouth and eyes.
 
     Raises:
-        MotionError: another method, or a transcript without phones.
+        MotionError: another method, or phones without PocketSphinx.
     """
     if method not in METHODS:
         raise MotionError(f"method {method!r} of a face; expected {' or '.join(METHODS)}")

@@ -1,0 +1,208 @@
+"""Faces made from speech by rules: mouth, blinks and gaze."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sounds import voiced
+
+import audio_features as af
+from gesturekit.errors import MotionError
+from gesturekit.face import METHODS, EnergyFace, face_from_speech
+from gesturekit.face.visemes import Phone, mouth_of_phones
+from gesturekit.motion.face import ARKIT, FaceTrack
+
+RATE = 16_000
+FPS = 30.0
+
+
+def wave(*parts: np.ndarray, level: float = 0.1) -> af.Wave:
+    return af.Wave((level * np.concatenate(parts)).astype(np.float32), RATE)
+
+
+def noise(seconds: float, level: float = 1.0, seed: int = 0) -> np.ndarray:
+    return level * np.random.default_rng(seed).standard_normal(round(seconds * RATE))
+
+
+def face_of(sound: af.Wave, method: str = "energy", **options) -> FaceTrack:
+    if method == "phones":
+        pytest.importorskip("pocketsphinx", reason="pip install 'gesturekit[face]'")
+    return face_from_speech(sound, FPS, sound.n_frames(FPS), method, **options)
+
+
+def opening(face: FaceTrack) -> np.ndarray:
+    return face.channel("jawOpen") - face.channel("mouthClose")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_voice_moves_the_mouth_whatever_its_level_and_silence_closes_it(method):
+    parts = voiced(3.0), np.zeros(2 * RATE), voiced(2.0)
+    face = face_of(wave(*parts), method)
+    assert face.origin == "rules" and set(face.names) <= set(ARKIT) and len(face) == 210
+    speech, silence = opening(face)[:85], opening(face)[100:145]
+    assert speech.max() > 0.3 and speech.std() > 0.05 and speech.min() < 0.1
+    assert silence.max() < 0.01
+    quiet = face_of(wave(*parts, level=0.01), method)
+    np.testing.assert_allclose(quiet.values, face.values, atol=0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_noise_does_not_open_the_mouth_in_pauses(method):
+    parts = np.concatenate([voiced(3.0), np.zeros(2 * RATE), voiced(2.0)])
+    face = face_of(wave(parts + noise(7.0, 0.1)), method)
+    assert opening(face)[:85].max() > 0.2
+    assert opening(face)[100:145].max() < 0.05
+    assert opening(face_of(wave(noise(4.0)), method)).max() < 0.05
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seconds", [0.025, 0.3])
+def test_short_sounds_and_other_lengths_of_motion_work(method, seconds):
+    sound = wave(voiced(1.0)[: round(seconds * RATE)])
+    assert len(face_of(sound, method)) == sound.n_frames(FPS)
+    assert len(face_from_speech(sound, 25.0, 100, method)) == 100
+
+
+def test_the_same_seed_and_name_look_and_blink_alike_and_others_do_not():
+    sound = wave(voiced(8.0))
+    first = face_of(sound, seed=1, item="a")
+    assert np.array_equal(face_of(sound, seed=1, item="a").values, first.values)
+    for other in (face_of(sound, seed=2, item="a"), face_of(sound, seed=1, item="b")):
+        assert not np.array_equal(other.channel("eyeBlinkLeft"), first.channel("eyeBlinkLeft"))
+        assert not np.array_equal(other.channel("eyeLookUpLeft"), first.channel("eyeLookUpLeft"))
+        assert np.array_equal(opening(other), opening(first))
+
+
+def test_people_blink_10_to_25_times_a_minute_and_close_lids_faster_than_they_open_them():
+    for sound in (wave(voiced(180.0)), wave(noise(180.0, 1e-6))):
+        lids = face_from_speech(sound, 100.0, 18_000).channel("eyeBlinkLeft")
+        closed = (lids > 0.5).astype(int)
+        times = np.flatnonzero(np.diff(closed) == 1) / 100.0
+        counts = np.bincount((times // 60).astype(int), minlength=3)
+        assert (counts >= 10).all() and (counts <= 25).all(), counts
+        assert lids.max() > 0.95
+        rising, falling = ((np.diff(lids) * way > 0).sum() for way in (1, -1))
+        assert 1.5 * rising < falling
+        gaps = np.diff(times)
+        assert gaps.std() / gaps.mean() > 0.3
+
+
+def test_blinks_gather_at_the_beginning_of_pauses():
+    phrase = np.concatenate([voiced(3.8), np.zeros(round(1.2 * RATE))])
+    lids = face_of(wave(np.tile(phrase, 40))).channel("eyeBlinkLeft")
+    phases = np.flatnonzero(np.diff((lids > 0.5).astype(int)) == 1) / FPS % 5.0
+    assert ((phases > 3.5) & (phases < 4.3)).mean() > 2 * 0.8 / 5.0
+
+
+def test_gaze_jumps_both_eyes_together_by_small_angles():
+    face = face_of(wave(voiced(60.0)))
+    look = face.channel("eyeLookInLeft") - face.channel("eyeLookOutLeft")  # to the right
+    assert np.array_equal(face.channel("eyeLookOutRight") - face.channel("eyeLookInRight"), look)
+    assert 0.02 < look.std() < 0.2 and abs(look).max() < 0.3
+    still = abs(np.diff(look)) < 1e-9
+    assert 0.85 < still.mean() < 0.99
+
+
+def test_a_stream_gives_the_same_frames_for_blocks_of_any_size_within_its_delay():
+    sound = voiced(9.0) * 0.1 + noise(9.0, 0.001)
+    rng, whole = np.random.default_rng(0), EnergyFace(48_000, FPS, seed=3)
+    expected, stream, done, made = whole.step(sound), EnergyFace(48_000, FPS, seed=3), 0, []
+    while done < len(sound):
+        made.append(stream.step(sound[done : done + (n := int(rng.integers(1, 5000)))]))
+        done = min(done + n, len(sound))
+        assert sum(map(len, made)) >= (done / 48_000 - stream.delay) * FPS
+    np.testing.assert_array_equal(np.concatenate(made), expected)
+    assert stream.delay < 0.25 and expected.shape[1] == len(stream.names)
+    with pytest.raises(MotionError, match="finite"):
+        stream.step(np.full(100, np.nan))
+
+
+def test_a_stream_of_speech_resembles_the_face_of_its_file():
+    sound = wave(voiced(12.0), noise(2.0, 1e-4), voiced(6.0))
+    stream = EnergyFace(RATE, FPS, seed=5, item="a").step(sound.samples)
+    face = face_of(sound, seed=5, item="a")
+    jaw, lids = (face.names.index(name) for name in ("jawOpen", "eyeBlinkLeft"))
+    n = len(stream)
+    assert n > 580 and np.corrcoef(stream[:, jaw], face.values[:n, jaw])[0, 1] > 0.9
+    assert np.corrcoef(stream[:, lids], face.values[:n, lids])[0, 1] > 0.9
+
+
+def shapes_of(phones: str, fps: float = 25.0) -> FaceTrack:
+    """Return the mouth of phones that last 0.1 s each, in loud sound."""
+    names = phones.split()
+    spoken = [Phone(name, 0.1 * k, 0.1 * (k + 1)) for k, name in enumerate(names)]
+    values = mouth_of_phones(spoken, np.ones(10 * len(names)), hold=1.2 / fps)
+    names = ("jawOpen", "mouthClose", "mouthFunnel", "mouthPucker", "mouthRollLower")
+    return FaceTrack(names, values[:, : len(names)])
+
+
+@pytest.mark.parametrize("phone", ["P", "B", "M"])
+def test_lips_close_at_bilabial_phones_even_between_open_vowels(phone):
+    face = shapes_of(f"AA AA {phone} AA AA D AA AA")
+    assert opening(face)[22:28].max() < 0.02
+    assert opening(face)[[10, 38, 70]].min() > 0.3
+    assert opening(face)[50:60].min() > 0.1
+
+
+def test_the_lower_lip_meets_the_teeth_at_f_and_lips_are_round_at_w():
+    face = shapes_of("AA F AA W UW T UW AA S AA")
+    middle = face.values[5::10].T
+    jaw, _, _, pucker, roll = middle
+    assert roll[1] > 0.4 and roll[[0, 2, 4, 6]].max() < 0.05
+    assert pucker[[3, 4, 5, 6]].min() > 0.3 and pucker[[0, 8, 9]].max() < 0.1  # t: lips stay round
+    assert jaw[8] < 0.75 * jaw[7]
+
+
+def test_without_pocketsphinx_one_line_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pocketsphinx", None)
+    with pytest.raises(MotionError, match=r"pip install 'gesturekit\[face\]'"):
+        face_from_speech(wave(voiced(1.0)), FPS, 30, "phones")
+    with pytest.raises(MotionError, match="energy or phones"):
+        face_from_speech(wave(voiced(1.0)), FPS, 30, "emotion")
+
+
+@pytest.mark.parametrize(
+    ("transcript", "says"),
+    [
+        ("", "no English words"),
+        ("你好 42 !", "no English words"),
+        ("blorptastic", "letter by letter: blorptastic"),
+        ("hello " * 500, "500 words"),
+    ],
+)
+def test_a_transcript_that_does_not_help_is_warned_about(transcript, says, caplog):
+    sound = wave(voiced(2.0))
+    assert len(face_of(sound, "phones", transcript=transcript)) == 60
+    assert says in caplog.text
+
+
+@pytest.fixture(scope="module")
+def benchmark():
+    for module in ("pocketsphinx", "espeakng_loader"):
+        pytest.importorskip(module, reason=f"{module} is not installed")
+    folder = Path(__file__).resolve().parents[2] / "benchmarks"
+    if not folder.is_dir():
+        pytest.skip("the benchmarks are not part of the source distribution")
+    sys.path.insert(0, str(folder))
+    import face_rules
+
+    yield face_rules
+    sys.path.remove(str(folder))
+    del sys.modules["face_rules"], sys.modules["harness"]
+
+
+def test_lips_close_where_a_voice_says_p_b_and_m(benchmark):
+    told = benchmark.lips("en-us", "phones", True, None)
+    assert told["p, b, m"][0] > 0.8 and told["vowels"][0] < 0.25 and told["pauses"][0] == 1.0
+    assert benchmark.lips("en-us", "phones", False, None)["p, b, m"][0] > 0.4
+
+
+@pytest.mark.stress
+def test_an_hour_of_sound_takes_little_memory():
+    import tracemalloc
+
+    sound = wave(np.tile(voiced(60.0), 60))
+    tracemalloc.start()
+    face_of(sound)
+    assert tracemalloc.get_traced_memory()[1] < 1.5e9
