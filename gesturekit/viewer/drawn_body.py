@@ -7,7 +7,7 @@ import warnings
 from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from gesturekit.formats.gltf.vrm import Avatar, our_names, read_avatar
 from gesturekit.formats.gltf.writing import animated_avatar, animated_skeleton
 from gesturekit.formats.smpl import fit_body
 from gesturekit.motion.body_model import BodyModel, Skin, unique_rows
+from gesturekit.motion.face import FaceTrack
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human import COLOURS, Fitting, Human
 
@@ -96,6 +97,22 @@ class DrawnBody:
             except GestureKitError as error:
                 warnings.warn(f"the mannequin is drawn instead of {body}: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))
+
+    @cached_property
+    def face(self) -> FaceTrack | None:
+        """Channels of the motion's face that move the finest skin; None if none ever does."""
+        face = self.motion.face
+        if face is None or not self.skins:
+            return None
+        moving = [
+            k
+            for k, name in enumerate(face.names)
+            if name in self.skins[0].morphs and face.values[:, k].any()
+        ]
+        if not moving:
+            return None
+        names = tuple(face.names[k] for k in moving)
+        return replace(face, names=names, values=face.values[:, moving])
 
 
 def drawn_bodies(

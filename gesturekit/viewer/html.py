@@ -73,7 +73,7 @@ def write_html(
             `gesturekit.viewer.drawn_body`.
         body_model: shows the skin of this body in place of limbs: a `BodyModel`, its .npz file or a
             folder of models; the motion is put on its rig.
-        framing: the camera's first view, "whole" or "waist" (from there up, without the legs).
+        framing: the camera's first view, "whole", "waist" (without the legs) or "face".
 
     Raises GestureKitError where the player has not been bundled, AudioError where `audio` is no
     sound, FormatError where `body_model` is none or the framing is unknown.

@@ -15,7 +15,8 @@ import numpy as np
 from audio_features.archive import Archive, open_archive
 from gesturekit.errors import FormatError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.body_model import Skin
+from gesturekit.motion.body_model import Morph, Skin
+from gesturekit.motion.face import MAX_CHANNELS
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.retarget import Transfer
 from gesturekit.motion.rotations import (
@@ -34,10 +35,15 @@ COLOURS = {
     "shoes": (48, 50, 56),
     "eye": (240, 240, 238),
     "iris": (58, 46, 42),
+    "lips": (212, 160, 142),
+    "mouth": (84, 30, 30),
+    "teeth": (214, 206, 194),
 }
 """RGB of each region of the surface, in the order of their numbers."""
 TOPS = ((93, 128, 168), (94, 138, 112), (164, 104, 126), (138, 124, 92))
 """RGB of the clothes of the figures of a page or video, in their order."""
+MORPH_STEP = 1e-4
+"""Resolution of the stored displacements of face channels, metres."""
 _LEVELS = 3
 _TWIST = "Twist"
 _MAX_JOINTS = 256
@@ -77,6 +83,7 @@ class Human:
                 names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents
             }
             skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
+            skins = (replace(skins[0], morphs=_morphs(archive)), *skins[1:])
         return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
 
 
@@ -209,3 +216,11 @@ def _skin(archive: Archive, level: int, joints: np.ndarray) -> Skin:
         rest=joints,
         regions=archive[f"regions{level}"],
     )
+
+
+def _morphs(archive: Archive) -> dict[str, Morph]:
+    names = archive.texts("channels", MAX_CHANNELS)
+    ends = np.cumsum(archive["n_moved"], dtype=int)[:-1]
+    moves = MORPH_STEP * archive.numbers("moves")
+    parts = np.split(archive["moved"].astype(int), ends), np.split(moves, ends)
+    return {name: Morph(*each) for name, *each in zip(names, *parts)}

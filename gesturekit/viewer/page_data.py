@@ -22,6 +22,7 @@ from audio_features import AudioError, LogMel, Onset, Wave
 from audio_features.sound_file import soundfile_name
 from gesturekit.motion.body_model import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
+from gesturekit.motion.face import FaceTrack
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import TOPS, palette_of
 
@@ -51,6 +52,10 @@ def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
         }
     else:
         page["skin"] = {"levels": [_level(each) for each in skins[:_LEVELS]]}
+        faces = [drawn.face.names for drawn in shown if drawn.face]
+        channels = [name for name in skin.morphs if any(name in names for names in faces)]
+        if channels:
+            page["skin"]["levels"][0]["morphs"] = [_morph(skin, name) for name in channels]
     for k, (figure, drawn) in enumerate(zip(page["figures"], shown)):
         if not drawn.skins:
             continue
@@ -67,6 +72,8 @@ def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
             )
             palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours]
             figure["skin"] |= {"scale": drawn.scale, "palette": palette}
+            if drawn.face:
+                figure["skin"]["face"] = _face(drawn.face, channels)
 
 
 def _level(skin: Skin) -> dict[str, Any]:
@@ -85,6 +92,28 @@ def _level(skin: Skin) -> dict[str, Any]:
         "weights": base64_text(zlib.compress(skin.weights.tobytes(), 9)),
         "regions": base64_text(zlib.compress(skin.regions.tobytes(), 9)),
     }
+
+
+def _morph(skin: Skin, channel: str) -> dict[str, Any]:
+    """Return the displacements of vertices by a face channel, in steps."""
+    morph = skin.morphs[channel]
+    step = float(np.abs(morph.offsets).max()) / _FULL
+    return {
+        "channel": channel,
+        "n_vertices": len(morph.vertices),
+        "step": step,
+        "vertices": base64_text(packed(morph.vertices)),
+        "offsets": base64_text(packed(np.rint(morph.offsets / step))),
+    }
+
+
+def _face(face: FaceTrack, channels: Sequence[str]) -> str:
+    """Encode values of channels, 0 for those that the face lacks, as deflated bytes (T, C)."""
+    values = np.zeros((len(face), len(channels)), np.uint8)
+    for column, name in zip(values.T, channels):
+        if name in face.names:
+            column[:] = np.rint(255 * face.channel(name))
+    return base64_text(zlib.compress(values.tobytes(), 9))
 
 
 def packed(steps: np.ndarray) -> bytes:

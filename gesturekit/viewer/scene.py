@@ -88,6 +88,10 @@ class Mannequin:
             pieces += balls
         self.mesh = _joined(pieces, owners)
 
+    def mesh_at(self, time: float) -> Mesh:
+        """Return the mesh, which is the same at all times."""
+        return self.mesh
+
     def transforms(self, time: float) -> np.ndarray:
         """Return (N, 3, 4) float32 transforms from each part to the world at `time` seconds."""
         points = points_at(self._figure, time)
@@ -109,7 +113,7 @@ class Mannequin:
 
 
 class SkinnedBody:
-    """Skin on a motion, with linear blend skinning of four joints a vertex.
+    """Skin on a motion, with linear blend skinning of four joints a vertex, and the face's morphs.
 
     Attributes:
         mesh: part k is joint k.
@@ -135,6 +139,18 @@ class SkinnedBody:
             (skin.weights / 255).astype(np.float32),
             skin.faces.astype(np.int32),
         )
+        self._face = _morphs(skin, drawn)
+
+    def mesh_at(self, time: float) -> Mesh:
+        """Return the mesh at rest with the face at `time` seconds."""
+        if self._face is None:
+            return self.mesh
+        values, moved, moves = self._face
+        vertices, normals = self.mesh.vertices.copy(), self.mesh.normals.copy()
+        now = _between(values, time * self._figure.fps).astype(np.float32)
+        for of_mesh, each in zip((vertices, normals), np.tensordot(now, moves, axes=1)):
+            of_mesh[moved] += each
+        return replace(self.mesh, vertices=vertices, normals=normals)
 
     def transforms(self, time: float) -> np.ndarray:
         """Return (J, 3, 4) float32 transforms from the rest pose to the world."""
@@ -147,6 +163,26 @@ class SkinnedBody:
         return np.concatenate([turned, places[..., None]], axis=-1).astype(np.float32)
 
 
+def _morphs(skin: Skin, drawn: DrawnBody) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return what a motion's face does to the finest skin, None if it does nothing.
+
+    Returns:
+        values (T, C) of the channels that move anything; the K vertices that they move; (C, 2, K,
+        3) displacements of these and of their normals by each channel, in the size of the body.
+    """
+    if drawn.face is None or skin is not drawn.skins[0]:
+        return None
+    names, values = drawn.face.names, drawn.face.values
+    normals, moves = skin.normals(), np.zeros((len(names), 2, *skin.vertices.shape), np.float32)
+    for name, of_channel in zip(names, moves):
+        morph = skin.morphs[name]
+        of_channel[0, morph.vertices] = morph.offsets
+        of_channel[1] = replace(skin, vertices=skin.vertices + of_channel[0]).normals() - normals
+    moves[:, 0] *= drawn.scale
+    moved = np.flatnonzero(moves.any(axis=(0, 1, 3)))
+    return values, moved, moves[:, :, moved]
+
+
 def _lit(
     body: Mannequin | SkinnedBody, time: float, sun: np.ndarray, camera: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +190,7 @@ def _lit(
 
     `sun` (3,) points to the light; `camera` (4, 3) is as in `Camera.at`.
     """
-    mesh = body.mesh
+    mesh = body.mesh_at(time)
     vertices, normals, colours = (np.empty_like(mesh.vertices) for _ in range(3))
     about = mesh.vertices, mesh.normals, mesh.parts, mesh.weights
     place(*about, body.transforms(time), vertices, normals)
@@ -280,6 +316,8 @@ class Camera:
     def __init__(self, figure: Figure, aspect: float, framing: str = "whole") -> None:
         """Fit the view; `aspect` is its width by its height, `framing` one of FRAMINGS."""
         points, lowest = figure.points, figure.floor + figure.below(framing)
+        if framing == "face" and figure.head:  # hands may leave the view
+            points = points[:, [figure.head.base, figure.head.up, figure.head.face]]
         middle = np.median(points, axis=1)  # a joint that is left behind does not count
         self._path = gaussian_filter1d(middle, _CALM * figure.fps, axis=0, mode="nearest")
         self._fps, self.floor = figure.fps, figure.floor

@@ -178,7 +178,7 @@ def write_video(
             `gesturekit.viewer.drawn_body`.
         body_model: shows the skin of this body in place of limbs: a `BodyModel`, its .npz file or a
             folder of models.
-        framing: the view, "whole" or "waist" (from there up, without the legs).
+        framing: the view, "whole", "waist" (from there up, without the legs) or "face".
         size: "720p" or "1080p".
         fps: frames per second; by default the fastest motion's, at most 30.
 

