@@ -13,12 +13,13 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from gesturekit.errors import ConfigError, MotionError
 from gesturekit.formats.conventions import plausibility_warnings
+from gesturekit.formats.live_link import read_live_link
 from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.smpl import Rig
 from gesturekit.formats.sources import (
@@ -35,7 +36,8 @@ from gesturekit.formats.sources import (
     visible_folders,
 )
 from gesturekit.jobs.batch import Batch, Execution, refuse_existing
-from gesturekit.jobs.result import Processor, Result, Task, json_of
+from gesturekit.jobs.result import Processor, Result, Task, json_of, path_digest
+from gesturekit.motion.face import is_smplx
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.wording import counted, listed
@@ -177,8 +179,8 @@ def _refuse_clashes(targets: Sequence[tuple[Path, Task]], sources: set[str]) -> 
         taken[where] = task
 
 
-_WITHOUT_FACES = {".bvh": "BVH", ".glb": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
-"""Formats without expressions and body shape, by suffix."""
+_WITHOUT_SHAPE = {".bvh": "BVH", ".glb": "glTF", ".vrma": "a VRM animation", ".fbx": "FBX"}
+"""Formats without body shape, by suffix."""
 
 
 @dataclass(frozen=True)
@@ -266,12 +268,26 @@ class Converter(Processor):
         self.read, self.write = {**conversion.read, **model}, {**conversion.write, **model}
         self.out, self.existing, self.parts = out, conversion.existing, conversion.parts
         self.changes, self.dry_run = conversion.changes, conversion.dry_run
+        self.face = None if conversion.face is None else Path(conversion.face)
         changes = {f.name: getattr(self.changes, f.name) for f in dataclasses.fields(Changes)}
         read = {f"in-{name}": value for name, value in self.read.items()}
         self.settings = json_of({**changes, **read, "parts": dict(self.parts)})
         self.written = {
             kind: json_of(applicable_write_options(kind, self.write)) for kind in formats
         }
+
+    def _face_of(self, task: Task) -> Path | None:
+        """Return the file with the face of a motion, if it is given."""
+        if self.face is None or not self.face.is_dir():
+            return self.face
+        file = self.face / f"{task.id}.csv"
+        return file if file.exists() else None
+
+    def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
+        """Return what the results of a task depend on beside `settings`; see `Processor`."""
+        face = self._face_of(task)
+        more = {} if face is None else {"face": path_digest(face)}
+        return super().input_of(task, digest) | more
 
     def make(self, result: Result) -> None:
         """Read, change and write a motion.
@@ -295,6 +311,10 @@ class Converter(Processor):
         for reason in plausibility_warnings(motion, self.read):
             warnings.warn(f"{task.source}: {reason}", stacklevel=2)
         result.facts["found"] = _summary(motion)
+        if (file := self._face_of(task)) is not None:
+            motion = replace(motion, face=read_live_link(file, motion.fps, motion.n_frames))
+        elif self.face is not None:
+            warnings.warn(f"{task.source}: no {task.id}.csv in {self.face}", stacklevel=2)
         motion, done = self.changes(motion)
         result.facts["done"] = tuple(done)
         result.sound = motion.duration
@@ -318,7 +338,7 @@ class Conversion:
         sources: motion files, and folders to search for motions.
         out: a file for a single motion, otherwise a folder; see `find_tasks`.
         formats: formats to write into a folder: bvh, npz, glb, vrma, fbx, html, mp4,
-            png, svg, pdf, obj.
+            png, svg, pdf, obj, csv (the face).
         changes: changes to make to each motion.
         read: options of readers, such as `up`, for those that have them; also `fps` and `height`,
             see `load`.
@@ -326,6 +346,8 @@ class Conversion:
         body_model: npz file of an SMPL or SMPL-X model, or a folder of such files, for readers and
             writers that use one.
         parts: joints of the sources specified by hand, see `load`.
+        face: CSV file of Live Link Face that becomes the face of a single motion, or a folder
+            with one for each, named as its results.
         existing: "refuse", "skip" or "replace" files that were made with other settings.
         dry_run: read and change, but write nothing.
         execution: how the work is done.
@@ -348,6 +370,7 @@ class Conversion:
     write: Mapping[str, Any] = field(default_factory=dict)
     body_model: str | os.PathLike[str] | None = None
     parts: Mapping[str, str] = field(default_factory=dict)
+    face: str | os.PathLike[str] | None = None
     existing: str = "refuse"
     dry_run: bool = False
     execution: Execution = field(default_factory=Execution)
@@ -401,6 +424,11 @@ class Conversion:
 
     def _find(self) -> list[Task]:
         tasks = find_tasks(self._sources, self._out, self.formats)
+        face = None if self.face is None else Path(self.face)
+        if face is not None and not face.is_dir() and not (face.exists() and len(tasks) == 1):
+            why = f"one file for {len(tasks)} motions" if face.exists() else "no such file"
+            need = "give the CSV of a single motion, or a folder with one for each"
+            raise ConfigError(f"--face {face}: {why}; {need}")
         paths = [task.file for task in tasks if task.error is None]
         formats = [self._out.suffix.lower()[1:]] if self._is_one else self.formats
         formats = formats if paths else ()
@@ -431,11 +459,17 @@ def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
 
 def _warn_of_losses(motion: Motion, target: Path) -> None:
     """Warn of data of a motion that the format of a target cannot hold."""
-    name = _WITHOUT_FACES.get(target.suffix.lower())
-    lost = ["face expressions"] if motion.face is not None else []
-    lost += ["body shape (betas)"] if motion.skeleton.body_shape.betas else []
-    if name and lost:
-        warnings.warn(f"{target}: {name} holds no {' and no '.join(lost)}; npz does", stacklevel=2)
+    suffix, lost = target.suffix.lower(), list[str]()
+    if motion.face is not None:
+        if suffix == ".bvh":
+            lost.append("face")
+        elif suffix in (".vrma", ".fbx") and is_smplx(motion.face):
+            lost.append("SMPL-X face coefficients")  # which are not in [0, 1]
+    if motion.skeleton.body_shape.betas:
+        lost.append("body shape (betas)")
+    if lost and suffix in _WITHOUT_SHAPE:
+        text = f"{_WITHOUT_SHAPE[suffix]} holds no {' and no '.join(lost)}; npz does"
+        warnings.warn(f"{target}: {text}", stacklevel=2)
 
 
 def _kept(target: Path, existing: str) -> tuple[Path, ...]:

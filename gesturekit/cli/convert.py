@@ -40,7 +40,7 @@ GROUPS = {
         *("formats", "rig", "rig_parts", "fps", "antialias", "trim", "mirror", "joints", "up"),
         *("unit", "body", "framing", "size", "existing"),
     ),
-    "Input": (*RECORDING_OPTIONS, "animation", "parts"),
+    "Input": (*RECORDING_OPTIONS, "animation", "parts", "face"),
     **BATCH_GROUPS,
 }
 WIDTH = 100
@@ -53,7 +53,7 @@ WIDTH = 100
 @click.option(
     *("--format", "formats"),
     metavar="LIST",
-    help="Formats to write into a folder: bvh,npz,glb,vrma,fbx,html,mp4,png,svg,pdf,obj.",
+    help="Formats to write into a folder: bvh,npz,glb,vrma,fbx,html,mp4,png,svg,pdf,obj,csv.",
 )
 @rig_options
 @click.option("--fps", type=RATE, metavar="RATE", help="Resample to this frame rate.")
@@ -75,6 +75,12 @@ WIDTH = 100
 @existing_option("refuse")
 @reading_options
 @part_option
+@click.option(
+    "--face",
+    type=PATH,
+    metavar="PATH",
+    help="Face to add: a CSV of Live Link Face, or a folder with one of the name of each motion.",
+)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -83,6 +89,7 @@ def command(
     formats: str | None,
     existing: str,
     body_model: Path | None,
+    face: Path | None,
     **options: Any,
 ) -> None:
     """Convert motion: one file to another, or files and folders into the folder OUT.
@@ -108,6 +115,7 @@ def command(
         write=write,
         body_model=body_model,
         parts=parts,
+        face=face,
         existing=existing,
         dry_run=dry_run,
         execution=execution,

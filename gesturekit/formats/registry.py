@@ -75,6 +75,7 @@ FORMATS = (
     Format(".mp4", None, "viewer:write_video", writes=_BODY | {"framing", "size", "fps"}),
     *(Format(suffix, None, _PICTURE, writes={"body"}) for suffix in (".png", ".svg", ".pdf")),
     Format(".obj", None, "formats.smpl:write_obj", writes={"body_model"}),
+    Format(".csv", None, "formats.live_link:write_live_link"),  # the face alone
 )
 """All formats, in the order in which messages and help list them."""
 

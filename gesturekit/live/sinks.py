@@ -1,8 +1,9 @@
 """Sinks of a stream: a recording, and a sender of the Virtual Motion Capture protocol (VMC).
 
 VMC is OSC bundles over UDP, one a frame. Its coordinates are Unity's: left-handed, Y up, metres,
-the body facing +Z. Bones are those of Unity's HumanBodyBones, relative to a T-pose. Source: the VMC
-protocol specification, marionette.
+the body facing +Z. Bones are those of Unity's HumanBodyBones, relative to a T-pose. A face is sent
+as VRM 0.x's presets and the names of its channels. Source: the VMC protocol specification,
+marionette.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from gesturekit.errors import ConfigError, GestureKitError
 from gesturekit.formats.fbx import blender_command
+from gesturekit.formats.gltf.faces import VMC_NAMES, expressions_of
 from gesturekit.formats.gltf.vrm import our_names
 from gesturekit.formats.npz import frames_header, frames_rows, read_frames
 from gesturekit.formats.registry import writer_of
@@ -189,17 +191,19 @@ class VmcSender:
         places = np.tile(self._offsets, (posed.n_frames, 1, 1))
         places[:, 0] = posed.translation
         places = np.concatenate([places, posed.rotations], axis=-1) * _TO_UNITY
+        face = {} if posed.face is None else expressions_of(posed.face)
         for k, frame in enumerate(places):
             if k and step.lag is not None:
                 time.sleep(1 / posed.fps)
             with suppress(OSError):  # a full buffer or a missing network: the next frame may pass
-                self._client.send(self._bundle(step.time + k / posed.fps, frame))
+                blends = {VMC_NAMES.get(name, name): float(row[k]) for name, row in face.items()}
+                self._client.send(self._bundle(step.time + k / posed.fps, frame, blends))
 
     def close(self) -> None:
         """Close the socket."""
         self._client.close()
 
-    def _bundle(self, seconds: float, frame: np.ndarray) -> OscBundle:
+    def _bundle(self, seconds: float, frame: np.ndarray, blends: dict[str, float]) -> OscBundle:
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
         from pythonosc.osc_message_builder import build_msg
 
@@ -209,7 +213,10 @@ class VmcSender:
             ("/VMC/Ext/T", [seconds]),
             ("/VMC/Ext/Root/Pos", ["root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
             *(("/VMC/Ext/Bone/Pos", [name, *frame[joint].tolist()]) for joint, name in self._bones),
+            *(("/VMC/Ext/Blend/Val", [name, value]) for name, value in blends.items()),
         ]
+        if blends:
+            messages.append(("/VMC/Ext/Blend/Apply", []))
         for address, arguments in messages:
             bundle.add_content(build_msg(address, arguments))
         return bundle.build()

@@ -348,7 +348,7 @@ class Motion:
 
     @gesturekit_errors()
     def save(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write a .bvh, .npz, .glb, .vrma, .fbx, .obj, .html, .mp4, .png, .svg or .pdf file.
+        """Write a .bvh, .npz, .glb, .vrma, .fbx, .obj, .html, .mp4, .png, .svg, .pdf or .csv file.
 
         Args:
             path: the file; its suffix selects the format.

@@ -101,7 +101,7 @@ class Renderer(Processor):
         unknown = [name for name in output.formats if name not in RENDERED]
         if unknown or not output.formats:
             others = [name for name in unknown if name in WRITABLE]
-            convert = f"; gesturekit convert x.bvh x.{others[0]} writes it" if others else ""
+            convert = f"; gesturekit convert x.npz x.{others[0]} writes it" if others else ""
             named = ", ".join(unknown) or "(none)"
             raise ConfigError(f"format {named}: known: {', '.join(RENDERED)}{convert}")
         if "mp4" in output.formats:

@@ -16,8 +16,8 @@ import numpy as np
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.fbx import write_by_blender
-from gesturekit.formats.gltf.vrm import Avatar, our_names, read_avatar
-from gesturekit.formats.gltf.writing import animated_avatar, animated_skeleton
+from gesturekit.formats.gltf.vrm import Avatar, read_avatar
+from gesturekit.formats.gltf.writing import animated_avatar, animated_skeleton, vrm_animation
 from gesturekit.formats.smpl import fit_body
 from gesturekit.motion.body_model import BodyModel, Skin, unique_rows
 from gesturekit.motion.face import FaceTrack
@@ -138,7 +138,7 @@ def write_glb(
     body: str | None = None,
     body_model: BodyModel | str | os.PathLike[str] | None = None,
 ) -> None:
-    """Write a binary glTF 2.0 file: skeleton, animation, and a mesh.
+    """Write a binary glTF 2.0 file: skeleton, animation, a mesh, and the face as morph targets.
 
     Args:
         motion: the motion to write.
@@ -170,20 +170,16 @@ def write_vrma(motion: Motion, path: str | os.PathLike[str]) -> None:
     """Write a VRM animation 1.0, which VRM programs put on any avatar.
 
     Args:
-        motion: the motion; it is put on the human body's bones, with fingers.
+        motion: the motion; it is put on the human body's bones, with fingers. Its face becomes
+            expressions: VRM's vowels and blinks, and ARKit's names as custom ones.
         path: the .vrma file, written atomically.
 
     Raises:
         MotionError: body parts of the motion's rig cannot be found.
     """
     moved = Fitting(Human.load(), motion).in_t_pose(motion)
-    names = {bone: ours for bone, ours in our_names(True).items() if ours in moved.skeleton.names}
-    bones = {bone: {"node": moved.skeleton.index(ours)} for bone, ours in names.items()}
-    extension = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
-    extensions = {"VRMC_vrm_animation": extension}
     with atomic_write(path) as temporary:
-        name = Path(path).stem
-        temporary.write_bytes(animated_skeleton(moved, name, None, extensions=extensions))
+        temporary.write_bytes(vrm_animation(moved, Path(path).stem))
 
 
 def write_fbx(

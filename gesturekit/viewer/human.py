@@ -133,7 +133,7 @@ class Fitting:
         local = turns.copy()
         above = list(rig.parents[1:])
         local[:, 1:] = multiply_quaternions(invert_quaternions(turns[:, above]), turns[:, 1:])
-        return Motion(rig, local, moved.translation, moved.fps)
+        return Motion(rig, local, moved.translation, moved.fps, face=motion.face)
 
     @property
     def t_pose_rig(self) -> Skeleton:

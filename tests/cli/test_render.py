@@ -222,7 +222,7 @@ def test_files_with_difficult_names(render, wav, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--format", "bvh,fbx"], "convert x.bvh x.fbx"),
+        (["--format", "bvh,fbx"], "convert x.npz x.fbx"),
         (["--model", "demmo"], "demmo"),
         (["--seed", "one"], "seed"),
         (["--smooth", "-1"], "--smooth"),

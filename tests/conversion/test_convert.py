@@ -282,10 +282,42 @@ def test_data_that_a_format_cannot_store_causes_a_warning(tmp_path):
         motion.save(tmp_path / "a.npz")
     (bvh,) = outcomes(tmp_path / "a.npz", tmp_path / "a.bvh")
     assert [w for w in bvh.facts["warnings"] if re.search("(?=.*face)(?=.*betas)", w)]
+    for name, lost in (("a.glb", "betas"), ("a.vrma", "SMPL-X face.*betas")):
+        (made,) = outcomes(tmp_path / "a.npz", tmp_path / name)
+        (warning,) = [w for w in made.facts["warnings"] if "betas" in w]
+        assert re.search(f"holds no .*{lost}", warning)
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "b.npz")
     assert [w for w in npz.facts["warnings"] if "--fps 30" in w] and len(npz.facts["warnings"]) == 1
     (npz,) = outcomes(tmp_path / "a.npz", tmp_path / "c.npz", changes=Changes(fps=30))
     assert npz.facts["warnings"] == ()
+
+
+def face_csv(path: Path, value: float) -> Path:
+    rows = [f"00:00:{k // 30:02d}:{2 * k % 60:02d}.000,61,{value}\n" for k in range(60)]
+    path.write_text("Timecode,BlendshapeCount,JawOpen\n" + "".join(rows))
+    return path
+
+
+def test_a_face_is_added_from_a_file_or_a_folder(gesturekit, take, tmp_path):
+    face = face_csv(tmp_path / "face.csv", 0.25)
+    done = gesturekit("convert", take, tmp_path / "one.npz", "--face", face)
+    assert done.status == 0, done.err
+    assert Motion.load(tmp_path / "one.npz").face.values.tolist() == [[0.25]] * 60
+    Motion.load(take).save(tmp_path / "other.bvh")
+    both = (take, tmp_path / "other.bvh", tmp_path / "out", "--format", "npz,csv")
+    gesturekit("convert", *both, "--face", face).fails(2, "one file for 2 motions")
+    gesturekit("convert", *both, "--face", tmp_path / "none.csv").fails(2, "no such file")
+    (tmp_path / "faces").mkdir()
+    face_csv(tmp_path / "faces" / "take.csv", 0.5)
+    done = gesturekit("convert", *both, "--face", tmp_path / "faces")
+    done.fails(1, "no other.csv in", "no face")
+    assert written(tmp_path / "out") == {"take.npz", "take.csv", "other.npz"}
+    # A changed face is a changed input.
+    face_csv(tmp_path / "faces" / "take.csv", 0.75)
+    more = ("--face", tmp_path / "faces", "--existing", "replace")
+    gesturekit("convert", *both, *more)
+    assert Motion.load(tmp_path / "out" / "take.npz").face.values[0].tolist() == [0.75]
+    assert "0.750000" in (tmp_path / "out" / "take.csv").read_text()
 
 
 def test_a_mesh_needs_its_model(capsule_body, tmp_path):

@@ -1,4 +1,4 @@
-"""Joint positions that Blender reads from BVH, glTF and FBX; run by the Python that has `bpy`.
+"""Joints and faces that Blender reads from BVH, glTF and FBX; run by the Python that has `bpy`.
 
 python blender_positions.py FILE ...    writes FILE.blender.json beside each
 """
@@ -38,17 +38,23 @@ def load(path: Path) -> range:
 
 
 def positions(path: Path) -> dict[str, object]:
-    """Rate, frames and joints, in the file's axes: Blender's world is (x, -z, y) of them."""
+    """Rate, frames, face and joints, in the file's axes: Blender's world is (x, -z, y) of them."""
     numbers = load(path)
     scene = bpy.context.scene
     armature = next(thing for thing in scene.objects if thing.type == "ARMATURE")
+    with_keys = [thing.data.shape_keys for thing in scene.objects if thing.type == "MESH"]
+    blocks = [block for keys in with_keys if keys for block in list(keys.key_blocks)[1:]]
+    face = {block.name: [] for block in blocks}
     frames = []
     for frame in numbers:
         scene.frame_set(frame)
         heads = [armature.matrix_world @ bone.head for bone in armature.pose.bones]
         frames.append([[x, z, -y] for x, y, z in heads])
+        for block in blocks:
+            face[block.name].append(block.value)
     names = [bone.name for bone in armature.pose.bones]
-    return {"fps": scene.render.fps / scene.render.fps_base, "names": names, "frames": frames}
+    fps = scene.render.fps / scene.render.fps_base
+    return {"fps": fps, "names": names, "frames": frames, "face": face}
 
 
 for name in sys.argv[1:]:

@@ -7,7 +7,8 @@ this. BVH, glb and FBX files go through the importers of Blender and three.js an
 readers, glb files through Khronos' validator too; BVH and npz with their sound go through our
 add-on, onto a new armature and onto one with other bone axes, scale and place. FILES are compared
 between our reader and three.js. Exits 1 where a joint is more than 0.1 mm away, the frame rate is
-another, the sound is not in its place, or the validator finds an error.
+another, the sound is not in its place, a channel of the face has other values, or the validator
+finds an error.
 """
 
 import json
@@ -28,6 +29,7 @@ import gesturekit as gk
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.vrm import read_avatar
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.face import ARKIT
 from gesturekit.motion.skeleton import ROTATION_ORDERS
 from gesturekit.viewer.drawn_body import DrawnBody
 
@@ -42,6 +44,7 @@ RECORDINGS = (
 )
 N_FRAMES = 110
 TOLERANCE = 0.1  # mm
+FACE_TOLERANCE = 1e-4
 VALIDATOR = "gltf-validator@2.0.0-dev.3.10"
 
 
@@ -80,7 +83,7 @@ def main(bpy_python: str, others: list[Path]) -> None:
         folder = Path(name)
         takes, written = {}, {}
         for stem, motion in motions():
-            motion = replace(motion[:N_FRAMES], info={})
+            motion = with_face(replace(motion[:N_FRAMES], info={}))
             takes[folder / f"{stem}.bvh"] = motion
             for suffix in ("bvh", "npz", "glb", "fbx"):
                 # Blender's importers of these take fractional rates for others.
@@ -102,7 +105,24 @@ def main(bpy_python: str, others: list[Path]) -> None:
         bad |= table(bpy_python, {path: motion for path, (motion, _) in written.items()})
     bad |= between_three_and_us(others)
     if bad:
-        sys.exit("Some joints are over 0.1 mm away, frame rates differ, or a file is not valid.")
+        sys.exit("Joints are over 0.1 mm away, rates or faces differ, or a file is not valid.")
+
+
+def with_face(motion: Motion) -> Motion:
+    """The motion with a face that moves: ARKit's channels, and one of nobody's."""
+    values = np.random.default_rng(0).uniform(0, 1, (motion.n_frames, 53))
+    return replace(motion, face=gk.FaceTrack((*ARKIT, "mine"), values))
+
+
+def other_face(motion: Motion, path: Path, tool: str) -> bool:
+    """Print the largest difference of a face in another program; return whether it is large."""
+    found = json.loads(path.with_name(f"{path.name}.{tool}.json").read_text())["face"]
+    if missing := [name for name in motion.face.names if name not in found]:
+        print(f"{path.name:24} {tool:8} no face channels {missing}")
+        return True
+    apart = max(np.abs(motion.face.channel(name) - found[name]).max() for name in motion.face.names)
+    print(f"{path.name:24} {tool:8} {len(found)} face channels, {apart:.1e} apart at most")
+    return apart > FACE_TOLERANCE
 
 
 def with_names(motion: Motion, body: str) -> Motion:
@@ -122,7 +142,7 @@ def table(bpy_python: str, written: dict[Path, Motion]) -> bool:
     run(bpy_python, here / "blender_positions.py", *read)
     in_three = [path for path in read if path.suffix != ".fbx"]
     for path in in_three:
-        times(path, written[path].times)
+        times(path, written[path].times, face=True)
     run(node(), here / "three_positions.mjs", PLAYER / "node_modules" / "three", *in_three)
     print(
         "| file | reader | joints | frames | largest error, mm | fps |\n|---|---|---|---|---|---|"
@@ -135,6 +155,8 @@ def table(bpy_python: str, written: dict[Path, Motion]) -> bool:
         for tool, names, frames, fps in rows:
             apart = worst(motion, path, names, frames)
             bad |= apart > TOLERANCE or not (fps is None or abs(fps / motion.fps - 1) < 1e-6)
+            if tool != "gesturekit" and path.suffix in (".glb", ".fbx"):
+                bad |= other_face(motion, path, tool)
             rate = "" if fps is None else f"{fps:.6g}"
             size = f"{motion.skeleton.n_joints} | {motion.n_frames}"
             print(f"| {path.name} | {tool} | {size} | {apart:.1e} | {rate} |")
@@ -155,9 +177,9 @@ def theirs(path: Path, tool: str, said: Path) -> tuple[list[str], np.ndarray, fl
     return names, frames, found.get("fps")
 
 
-def times(path: Path, seconds: np.ndarray, animation: int = 0) -> None:
+def times(path: Path, seconds: np.ndarray, animation: int = 0, *, face: bool = False) -> None:
     """Write what three_positions.mjs is to read of a glTF file."""
-    asked = {"animation": animation, "times": seconds.tolist()}
+    asked = {"animation": animation, "times": seconds.tolist(), "face": face}
     path.with_name(path.name + ".times.json").write_text(json.dumps(asked))
 
 

@@ -3,6 +3,7 @@
 import socket
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.live import Step
 from gesturekit.live.sinks import VmcSender
+from gesturekit.motion.face import FaceTrack
 from gesturekit.viewer.human import Fitting, Human
 
 SILENCE = np.zeros(0, np.float32)
@@ -53,15 +55,16 @@ def messages(data: bytes) -> Iterator[tuple[str, list]]:
 
 @pytest.fixture
 def received(skeleton) -> Iterator[list[list]]:
-    """received(angles, time): what arrives of a right arm raised by angles in degrees."""
+    """received(angles, time, face): what arrives of a right arm raised by angles in degrees."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
         reader.bind(("127.0.0.1", 0))
         reader.settimeout(5)
         fitting = Fitting(Human.load(), raised(skeleton, [0.0], 30.0))
         sender = VmcSender("127.0.0.1", reader.getsockname()[1], fitting)
 
-        def send(angles: list[float], time: float) -> list[list]:
+        def send(angles: list[float], time: float, face: FaceTrack | None = None) -> list[list]:
             frames, motion = [], raised(skeleton, np.deg2rad(angles), 30.0)
+            motion = replace(motion, face=face)
             for k in range(0, len(angles), 2):  # few at once, so that the system loses none
                 sender.put(Step(SILENCE, motion[k : k + 2], time + k / 30, None))
                 frames += [list(messages(reader.recv(1 << 16))) for _ in angles[k : k + 2]]
@@ -102,3 +105,20 @@ def test_a_right_arm_is_raised_to_unitys_right(received):
         turn = turn * Rotation.from_quat(found[name][3:])
     np.testing.assert_allclose(turn.apply([1, 0, 0]), [0.5, np.sqrt(0.75), 0], atol=0.02)
     np.testing.assert_allclose(np.abs(found["LeftUpperArm"][6]), 1, atol=2e-3)
+
+
+def test_a_face_is_sent_as_presets_of_vrm_0_and_channels(received):
+    names = ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "happy")
+    face = FaceTrack(names, [[0.75, 1, 0, 0.5], [0, 0, 1, 0.5], [0.25, 0, 0, 2]])
+    frames = received([0.0] * 3, 0.0, face)
+    sent = [[values for at, values in frame if at == "/VMC/Ext/Blend/Val"] for frame in frames]
+    assert dict(sent[0]) == {
+        **{"A": 0.75, "I": 0, "U": 0, "E": 0, "O": 0, "Blink_L": 1, "Blink_R": 0, "Joy": 0.5},
+        **{"jawOpen": 0.75, "eyeBlinkLeft": 1, "eyeBlinkRight": 0},
+    }
+    assert [(dict(each)["A"], dict(each)["Blink_R"], dict(each)["Joy"]) for each in sent] == [
+        (0.75, 0, 0.5), (0, 1, 0.5), (0.25, 0, 1),
+    ]  # fmt: skip
+    assert all(frame[-1] == ("/VMC/Ext/Blend/Apply", []) for frame in frames)
+    (without,) = received([0.0], 0.0)
+    assert not [at for at, _ in without if "Blend" in at]

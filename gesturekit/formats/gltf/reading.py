@@ -24,6 +24,7 @@ from gesturekit.formats.conventions import (
     guess_unit,
     with_y_up,
 )
+from gesturekit.formats.gltf.faces import expression_nodes
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.scene import AT_REST, Nodes, read_animation
 from gesturekit.formats.gltf.vrm import avatar_bones
@@ -55,6 +56,8 @@ def read_gltf(
 
     Joints are the nodes of all skins, the bones of a VRM avatar, and what hangs on them without a
     mesh; without these, the trees of animated nodes. Of several skeletons the largest is read.
+    Animated weights of morph targets with names (`extras.targetNames` of their mesh), and the
+    expressions of a VRM animation, are the face.
 
     Args:
         path: the file. Arrays may lie in it, in data URIs, or in files of its folder.
@@ -72,7 +75,8 @@ def read_gltf(
         name to name in the file).
 
     Warns:
-        UserWarning: a choice among animations or skeletons, keys between frames, an unlikely unit.
+        UserWarning: a choice among animations or skeletons, keys between frames, an unlikely unit,
+            animated morph targets without names.
 
     Raises:
         FormatError: not glTF 2.0, broken, compressed, or without joints.
@@ -89,7 +93,7 @@ def read_gltf(
         times, rate = chosen.frames(fps, gltf, (_MOST + gltf.size // 8) // len(moving))
         rig = _rest(nodes, joints, ends, names, METRES[unit])
         motion = _moved(rig, nodes.world(joints, chosen.curves, times), METRES[unit], rate)
-        motion = _in_our_axes(motion, up, forward)
+        motion = replace(_in_our_axes(motion, up, forward), face=chosen.face_at(times, gltf))
     except MotionError as error:
         raise gltf.error(str(error)) from None
     motion.info.update(source=str(path), unit=unit, renamed=renamed)
@@ -108,12 +112,14 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
         UserWarning: joints that are not below its root.
     """
     entries = gltf.items("nodes")
-    named = _named_joints(gltf, nodes)
+    expressions = set(expression_nodes(gltf).values())
+    named = _named_joints(gltf, nodes, expressions)
     if not named:
         raise gltf.error("no skeleton in it: neither a skin nor an animated node")
     inside, below = set(named), set(named)
     for node in nodes.order:
-        if nodes.parents[node] in inside and not entries[node].keys() & {"mesh", "camera"}:
+        is_thing = node in expressions or entries[node].keys() & {"mesh", "camera"}
+        if nodes.parents[node] in inside and not is_thing:
             inside.add(node)
         if nodes.parents[node] in below:
             below.add(node)
@@ -140,8 +146,11 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
     return joints, ends
 
 
-def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
-    """Return joints of all skins and bones of an avatar, or nodes that are animated, and above."""
+def _named_joints(gltf: Gltf, nodes: Nodes, expressions: set[int]) -> set[int]:
+    """Return joints of all skins and bones of an avatar, or nodes that are animated, and above.
+
+    Nodes of expressions are none.
+    """
     entries = gltf.items("nodes")
     n_nodes = len(entries)
     joints = {j for skin in gltf.items("skins") for j in gltf.wholes(skin, "joints", n_nodes)}
@@ -155,9 +164,11 @@ def _named_joints(gltf: Gltf, nodes: Nodes) -> set[int]:
             target = gltf.object(channel, "target")
             if target.get("path") in ("rotation", "translation") and "node" in target:
                 joints.add(gltf.whole(target["node"], n_nodes, "node of a channel"))
+    joints -= expressions
     whole: set[int] = set()
     for node in nodes.with_ancestors(list(joints)):
-        is_holder = node not in joints and len(entries[node].get("children", [])) == 1
+        below = set(entries[node].get("children", [])) - expressions
+        is_holder = node not in joints and len(below) == 1
         if nodes.parents[node] in whole or not is_holder:
             whole.add(node)
     return whole

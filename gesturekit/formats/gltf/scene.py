@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import FormatError
+from gesturekit.formats.gltf.faces import expression_nodes, target_names, without_derived
 from gesturekit.formats.gltf.file import FARTHEST, Gltf
+from gesturekit.motion.face import MAX_CHANNELS, FaceTrack
 from gesturekit.motion.resampling import COMMON_RATES, HIGHEST_FPS, LOWEST_FPS, checked_fps
 from gesturekit.motion.rotations import (
     matrix_from_quaternion,
@@ -20,9 +22,9 @@ from gesturekit.motion.rotations import (
     quaternion_from_matrix,
     slerp,
 )
-from gesturekit.wording import listed
+from gesturekit.wording import listed, printable
 
-_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 _SHOWN = 6
 _EARLY = 1e-4
 """Seconds between a key and the time of its frame: rounding to float32."""
@@ -33,6 +35,8 @@ _SLOWEST, _FASTEST = 20.0, 240.0
 _ALIKE = 5e-3
 """Relative distance within which a common rate is likelier than the mean of the steps."""
 _NO_KEYS_RATE = 30.0
+_LONGEST_NAME, _NAME_STEPS = 200, 50
+"""Characters of the name of a face channel, and work for one."""
 
 
 class NoAnimationWarning(UserWarning):
@@ -91,11 +95,15 @@ class Animation:
         name: in the file, or "" if it has none.
         curves: by node and property (translation, rotation, scale).
         rate: frames per second that our own files declare, or None.
+        face: curves (K, 1) of face channels, by name.
+        origin: of the face, see `FaceTrack`.
     """
 
     name: str
     curves: Mapping[tuple[int, str], Curve]
     rate: float | None = None
+    face: Mapping[str, Curve] = field(default_factory=dict)
+    origin: str = "recorded"
 
     def frames(self, fps: float | None, gltf: Gltf, most: int) -> tuple[np.ndarray, float]:
         """Return the times (T,) of frames from the first key to the last, and their rate.
@@ -112,8 +120,11 @@ class Animation:
             FormatError: too many frames.
             MotionError: an invalid rate.
         """
-        keys = {id(curve.times): curve.times for curve in self.curves.values()} or {0: np.zeros(1)}
-        times = np.unique(np.concatenate([*keys.values()]))
+        times = np.zeros(1)
+        for curves in (self.curves, self.face):
+            keys = {id(curve.times): curve.times for curve in curves.values()}
+            if len(times) == 1 and keys:  # a face that moves on a body that does not
+                times = np.unique(np.concatenate([*keys.values()]))
         first, last = float(times[0]), float(times[-1])
         if fps is None and self.rate and _fits(times, self.rate):
             fps = self.rate
@@ -126,6 +137,20 @@ class Animation:
         if n_frames > most:
             raise gltf.error(f"{n_frames:.0f} frames, over {most}: cut it, or lower its --in-fps")
         return first + np.arange(n_frames) / fps, fps
+
+    def face_at(self, times: np.ndarray, gltf: Gltf) -> FaceTrack | None:
+        """Return the face at times (T,), or None if the file has none.
+
+        Raises:
+            FormatError: so many values that the file is too small for them.
+            MotionError: a channel without a name.
+        """
+        if not self.face:
+            return None
+        size = len(times) * len(self.face)
+        gltf.spend("its face", decoded=8 * size, work=size)
+        values = np.concatenate([curve.at(times) for curve in self.face.values()], axis=1)
+        return FaceTrack(tuple(self.face), values, self.origin)
 
 
 def _fits(times: np.ndarray, rate: float) -> bool:
@@ -181,17 +206,28 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
             raise FormatError(f"{gltf.path}: no animation {name!r}; it has {shown or 'none'}")
         chosen = (names if name in names else numbers).index(name)
         return keys.animation(entries[chosen], nodes)
-    seconds = {k: keys.seconds(entry, nodes) for k, entry in enumerate(entries)}
-    if moving := {k: end for k, end in seconds.items() if end is not None}:
+    bodies = {k: keys.seconds(keys.of_nodes(entry, nodes)) for k, entry in enumerate(entries)}
+    faces = {k: keys.seconds(keys.of_face(entry)) for k, entry in enumerate(entries)}
+    ends = faces if any(faces.values()) and not any(bodies.values()) else bodies
+    if moving := {k: end for k, end in ends.items() if end is not None}:
         longest = max(moving, key=moving.__getitem__)
         if len(moving) > 1:
             text = f"the longest is read, {labels[longest]}; --animation NAME chooses"
             warnings.warn(f"{gltf.path}: of its animations ({shown}), {text}", stacklevel=3)
-        return keys.animation(entries[longest], nodes)
+        read = keys.animation(entries[longest], nodes)
+        with_face = [k for k, end in faces.items() if end is not None]
+        if len(with_face) == 1 and bodies[with_face[0]] is None:
+            # Blender may write those of bones and of morph targets apart.
+            read = replace(read, face=keys.face(entries[with_face[0]]))
+        return read
     if gltf.path.suffix.lower() != ".vrm":  # avatars have none
         said = f"{gltf.path}: no animation of its skeleton: one frame, at rest"
         warnings.warn(said, NoAnimationWarning, stacklevel=3)
     return Animation("", {})
+
+
+_Sampler = tuple[int, str, dict[str, Any]]
+"""Node and property of a channel, and its sampler."""
 
 
 class _Keys:
@@ -200,36 +236,80 @@ class _Keys:
     def __init__(self, gltf: Gltf) -> None:
         self._gltf = gltf
         self._times: dict[object, tuple[np.ndarray, np.ndarray | None]] = {}
-        self._curves: dict[tuple[int, int, str, str], Curve] = {}
+        self._curves: dict[tuple[object, ...], Curve] = {}
+        expressions = expression_nodes(gltf)
+        self._expressions = {expressions[name]: name for name in without_derived(expressions)}
 
     def animation(self, entry: dict[str, Any], nodes: set[int]) -> Animation:
         """Return an animation with the curves of some nodes."""
-        samplers = self._samplers(entry, nodes)
-        curves = {key: self._curve(sampler, key[1]) for key, sampler in samplers}
-        rate = self._gltf.object(entry, "extras").get("fps", 0)
+        curves = {
+            (node, path): self._curve(sampler, path)
+            for node, path, sampler in self.of_nodes(entry, nodes)
+        }
+        extras = self._gltf.object(entry, "extras")
+        rate = extras.get("fps", 0)
         right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
-        return Animation(str(entry.get("name", "")), curves, float(rate) if right else None)
+        return Animation(
+            str(entry.get("name", "")),
+            curves,
+            float(rate) if right else None,
+            self.face(entry),
+            "rules" if extras.get("face") == "rules" else "recorded",
+        )
 
-    def seconds(self, entry: dict[str, Any], nodes: set[int]) -> float | None:
-        """Return the time of the last key of an animation; None if it moves none of the nodes."""
-        ends = (self._at(sampler)[0][-1] for _, sampler in self._samplers(entry, nodes))
-        return max(ends, default=None)
+    def seconds(self, samplers: Iterable[_Sampler]) -> float | None:
+        """Return the time of the last key; None without samplers."""
+        return max((self._at(sampler)[0][-1] for _, _, sampler in samplers), default=None)
 
-    def _samplers(
-        self, entry: dict[str, Any], nodes: set[int]
-    ) -> Iterator[tuple[tuple[int, str], dict[str, Any]]]:
-        """Yield the node and the property of each channel of some nodes, and its sampler."""
+    def face(self, entry: dict[str, Any]) -> dict[str, Curve]:
+        """Return the curves (K, 1) of morph targets and expressions of an animation, by name.
+
+        Of several with one name it is the first.
+
+        Warns:
+            UserWarning: morph targets that have no names, or too many.
+        """
+        gltf, found = self._gltf, dict[str, Curve]()
+        for node, path, sampler in self.of_face(entry):
+            names, n_targets = [self._expressions.get(node, "")], 1
+            if path == "weights":
+                names, n_targets = target_names(gltf, gltf.item("nodes", node))
+                gltf.spend("names of its morph targets", work=_NAME_STEPS * len(names))
+            if len(names) != n_targets or len(found) + n_targets > MAX_CHANNELS:
+                what = f"{n_targets} morph targets with {len(names)} targetNames are left out"
+                need = f"expected a name for each, and at most {MAX_CHANNELS} in all"
+                warnings.warn(f"{gltf.path}: {what}; {need}", stacklevel=5)
+                continue
+            curve = self._curve(sampler, path, n_targets if path == "weights" else 1)
+            for k, name in enumerate(names):
+                label = printable(name[:_LONGEST_NAME]).strip() or f"target{k}"
+                values = curve.values[..., k : k + 1]
+                found.setdefault(label, Curve(curve.times, values, curve.interpolation))
+        return found
+
+    def of_nodes(self, entry: dict[str, Any], nodes: set[int]) -> Iterator[_Sampler]:
+        """Yield the channels that move some nodes."""
+        for node, path, sampler in self._channels(entry):
+            if node in nodes and path != "weights":
+                yield node, path, sampler
+
+    def of_face(self, entry: dict[str, Any]) -> Iterator[_Sampler]:
+        """Yield the channels of morph targets and expressions."""
+        for node, path, sampler in self._channels(entry):
+            if path == "weights" or (path == "translation" and node in self._expressions):
+                yield node, path, sampler
+
+    def _channels(self, entry: dict[str, Any]) -> Iterator[_Sampler]:
         gltf, samplers = self._gltf, self._gltf.items("samplers", entry)
         n_nodes = len(gltf.items("nodes"))
         for channel in gltf.items("channels", entry):
             target = gltf.object(channel, "target")
             path = target.get("path")
             if "node" not in target or not isinstance(path, str) or path not in _WIDTHS:
-                continue  # morph targets, pointers of extensions
+                continue  # pointers of extensions
             node = gltf.whole(target["node"], n_nodes, "node of a channel")
-            if node in nodes:
-                at = gltf.whole(channel.get("sampler"), len(samplers), "sampler")
-                yield (node, path), samplers[at]
+            at = gltf.whole(channel.get("sampler"), len(samplers), "sampler")
+            yield node, path, samplers[at]
 
     def _at(self, sampler: dict[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the times (K,) of a sampler in order, and the order unless it is that in file."""
@@ -246,23 +326,23 @@ class _Keys:
             self._times[index] = times, order
         return self._times[index]
 
-    def _curve(self, sampler: dict[str, Any], path: str) -> Curve:
+    def _curve(self, sampler: dict[str, Any], path: str, n_values: int = 1) -> Curve:
+        """Return a curve of one value a key, or of `n_values` weights."""
         gltf, how = self._gltf, sampler.get("interpolation", "LINEAR")
         if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
             raise gltf.error(f"the interpolation {str(how)[:40]!r} is not known")
         times, order = self._at(sampler)
         stored = gltf.array(sampler.get("output"), path, _WIDTHS[path])
-        key = sampler["input"], sampler["output"], path, how
+        key = sampler["input"], sampler["output"], path, how, n_values
         if key not in self._curves:
-            each = 3 if how == "CUBICSPLINE" else 1
+            each = n_values * (3 if how == "CUBICSPLINE" else 1)
             if len(stored) < each * len(times):
                 raise gltf.error(f"{len(stored)} values of {path} for {len(times)} times")
             values = stored[: each * len(times)]
             gltf.spend(f"keys of {path}", decoded=8 * values.size, work=values.size)
-            values = values.astype(float, copy=False)
-            if each == 3:
-                values = values.reshape(len(times), each, -1)
-            elif path == "rotation":
+            shape = (len(times), 3, -1) if how == "CUBICSPLINE" else (len(times), -1)
+            values = values.astype(float, copy=False).reshape(shape)
+            if path == "rotation" and how != "CUBICSPLINE":
                 values = normalize_quaternions(values)
             self._curves[key] = Curve(times, values if order is None else values[order], how)
         return self._curves[key]

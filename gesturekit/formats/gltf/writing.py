@@ -15,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from gesturekit.formats.gltf.faces import VMC_NAMES, expressions_of, target_names
 from gesturekit.formats.gltf.file import BIN, JSON, MAX_BYTES, Gltf
 from gesturekit.formats.gltf.reading import END_SITE
 from gesturekit.formats.gltf.scene import Nodes
-from gesturekit.formats.gltf.vrm import Avatar
+from gesturekit.formats.gltf.vrm import Avatar, our_names
 from gesturekit.motion.body_model import INFLUENCES, Skin
+from gesturekit.motion.face import MAX_CHANNELS, FaceTrack
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     IDENTITY,
@@ -43,6 +45,8 @@ _SHORTEST = 1e-6
 """Length of bones that are seen, metres."""
 _TURNED = np.array([0.0, 1.0, 0.0, 0.0])
 """Half a turn about Y."""
+_TRIANGLE = 1e-3
+"""Size of the mesh for face channels that move no mesh, metres."""
 _VRM = ("VRM", "VRMC_vrm", "VRMC_springBone", "VRMC_node_constraint")
 """Extensions for programs that move the nodes themselves."""
 
@@ -94,6 +98,24 @@ class _Builder:
         low, high = (end.astype(float).tolist() for end in (values.min(axis=0), values.max(axis=0)))
         return self.array(values, use=use, min=low, max=high)
 
+    def displacements(self, values: np.ndarray) -> int:
+        """Add an accessor of floats (N, 3), of which those that are not zero may be stored."""
+        values = values.astype("<f4")
+        rows = np.flatnonzero(values.any(axis=1))
+        if 2 * len(rows) >= len(values):
+            return self.bounded(values, _VERTICES)
+        low, high = (end.astype(float).tolist() for end in (values.min(axis=0), values.max(axis=0)))
+        accessor: dict[str, Any] = {"componentType": _FLOAT, "type": "VEC3", "count": len(values)}
+        accessor |= {"min": low, "max": high}
+        if len(rows):
+            places, moved = rows.astype(_DTYPES[_INT]).tobytes(), values[rows].tobytes()
+            accessor["sparse"] = {
+                "count": len(rows),
+                "indices": {"bufferView": self.view(places, {}), "componentType": _INT},
+                "values": {"bufferView": self.view(moved, {})},
+            }
+        return self.append("accessors", accessor)
+
     def file(self) -> bytes:
         """Return the file."""
         self.place(b"")
@@ -111,9 +133,11 @@ def animated_skeleton(
     skin: Skin | None,
     colours: Mapping[str, Sequence[int]] = MappingProxyType({}),
     scale: float = 1.0,
-    extensions: Mapping[str, Any] | None = None,
 ) -> bytes:
     """Return a file with the rig of a motion, its animation, and a mesh.
+
+    A face is the animated weights of morph targets: those of a skin that has any of its channels,
+    else of a triangle of a millimetre that they do not move.
 
     Args:
         motion: T frames, J joints.
@@ -121,31 +145,98 @@ def animated_skeleton(
         skin: the mesh; None for bones of the rig.
         colours: name and colour (RGB, 0 to 255, sRGB) of the material of each region of the skin.
         scale: factor on the skin's vertices.
-        extensions: by name, of a file without a mesh; node k is joint k.
     """
-    builder = _Builder({"asset": {"version": "2.0", "generator": "gesturekit"}, "scene": 0})
-    skeleton = motion.skeleton
-    nodes, parents, rest = _rig(skeleton)
-    builder.json |= {"scenes": [{"nodes": [0]}], "nodes": nodes}
-    is_bones = skin is None and not extensions
-    if extensions:
-        builder.json |= {"extensions": extensions, "extensionsUsed": [*extensions]}
-    if is_bones:
+    builder, parents, rest = _started(motion.skeleton)
+    is_bones = skin is None
+    if skin is None:
         skin, colours = bones(parents, rest), {"bones": _BONE}
-    if skin is not None and len(skin.faces):
+    channels = () if motion.face is None else motion.face.names
+    channels = channels if skin.morphs.keys() & set(channels) else ()
+    weights = {}
+    if len(skin.faces):
         inverse = np.tile(np.eye(4), (len(rest), 1, 1))
         inverse[:, 3, :3] = -rest  # columns first
         matrices = builder.array(inverse.reshape(-1, 16))
         joints = list(range(len(rest)))
         builder.append("skins", {"joints": joints, "inverseBindMatrices": matrices})
-        primitives = _primitives(builder, skin, colours, scale, is_bones)
-        mesh = builder.append("meshes", {"name": name, "primitives": primitives})
+        primitives = _primitives(builder, skin, colours, scale, is_bones, channels)
+        mesh = builder.append("meshes", _mesh(name, primitives, channels))
         body = builder.append("nodes", {"name": f"{name}_mesh", "mesh": mesh, "skin": 0})
         builder.json["scenes"][0]["nodes"].append(body)
-    places = {skeleton.index(joint): moved for joint, moved in motion.joint_translations.items()}
-    rotations = dict(enumerate(np.moveaxis(motion.rotations, 1, 0)))
-    _animate(builder, motion.fps, name, rotations, {0: motion.translation, **places})
+        weights = {body: motion.face.values} if motion.face is not None and channels else {}
+    weights, alone = _or_triangle(builder, name, motion.face, weights)
+    builder.json["scenes"][0]["nodes"] += alone
+    _animate(builder, motion, name, *_curves(motion), weights)
     return builder.file()
+
+
+def vrm_animation(motion: Motion, name: str) -> bytes:
+    """Return a VRM animation 1.0 of a motion on bones with our names, and of its face.
+
+    Args:
+        motion: T frames; the rig rests in a T-pose.
+        name: of the animation.
+    """
+    builder, _, _ = _started(motion.skeleton)
+    nodes = {joint: {"node": k} for k, joint in enumerate(motion.skeleton.names)}
+    bones = {bone: nodes[ours] for bone, ours in our_names(True).items() if ours in nodes}
+    extension: dict[str, Any] = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
+    builder.json |= {"extensions": {"VRMC_vrm_animation": extension}}
+    builder.json["extensionsUsed"] = [*builder.json["extensions"]]
+    rotations, translations = _curves(motion)
+    expressions = {} if motion.face is None else expressions_of(motion.face)
+    for expression, values in expressions.items():
+        node = builder.append("nodes", {"name": expression})
+        builder.json["scenes"][0]["nodes"].append(node)
+        kind = "preset" if expression in VMC_NAMES else "custom"
+        group = extension.setdefault("expressions", {}).setdefault(kind, {})
+        group[expression] = {"node": node}
+        translations[node] = values[:, None] * [1.0, 0.0, 0.0]
+    _animate(builder, motion, name, rotations, translations)
+    return builder.file()
+
+
+def _started(skeleton: Skeleton) -> tuple[_Builder, list[int], np.ndarray]:
+    """Return a file with the nodes of a rig, and their parents and positions as of `_rig`."""
+    builder = _Builder({"asset": {"version": "2.0", "generator": "gesturekit"}, "scene": 0})
+    nodes, parents, rest = _rig(skeleton)
+    builder.json |= {"scenes": [{"nodes": [0]}], "nodes": nodes}
+    return builder, parents, rest
+
+
+def _curves(motion: Motion) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
+    """Return rotations (T, 4) and translations (T, 3) by joint."""
+    skeleton = motion.skeleton
+    places = {skeleton.index(joint): moved for joint, moved in motion.joint_translations.items()}
+    return dict(enumerate(np.moveaxis(motion.rotations, 1, 0))), {0: motion.translation, **places}
+
+
+def _mesh(
+    name: str, primitives: list[dict[str, Any]], channels: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return a mesh; `channels` are the names of its morph targets."""
+    mesh: dict[str, Any] = {"name": name, "primitives": primitives}
+    if channels:
+        # A convention that Blender, three.js and others share.
+        mesh |= {"weights": [0.0] * len(channels), "extras": {"targetNames": list(channels)}}
+    return mesh
+
+
+def _or_triangle(
+    builder: _Builder, name: str, face: FaceTrack | None, weights: dict[int, np.ndarray]
+) -> tuple[dict[int, np.ndarray], list[int]]:
+    """Return the weights (T, E) of a face by node, and nodes that were added.
+
+    Where no node has any, that is a triangle with morph targets that do not move it.
+    """
+    if weights or face is None or not face.names:
+        return weights, []
+    corners = builder.bounded(_TRIANGLE * np.eye(3), _VERTICES)
+    still = {"POSITION": builder.displacements(np.zeros((3, 3)))}
+    primitives = [{"attributes": {"POSITION": corners}, "targets": [still] * len(face.names)}]
+    mesh = builder.append("meshes", _mesh(name, primitives, face.names))
+    node = builder.append("nodes", {"name": f"{name}_face", "mesh": mesh})
+    return {node: face.values}, [node]
 
 
 def _rig(skeleton: Skeleton) -> tuple[list[dict[str, Any]], list[int], np.ndarray]:
@@ -195,10 +286,12 @@ def _primitives(
     colours: Mapping[str, Sequence[int]],
     scale: float,
     is_flat: bool,
+    channels: Sequence[str],
 ) -> list[dict[str, Any]]:
     """Add the arrays and the material of each region of a skin; return their primitives.
 
-    Programs draw flat faces where there are no normals.
+    Programs draw flat faces where there are no normals. Each primitive has a morph target for each
+    of the face's `channels`.
     """
     regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
     normals = skin.normals()
@@ -229,31 +322,63 @@ def _primitives(
         }
         material = builder.append("materials", {"name": name, "pbrMetallicRoughness": surface})
         primitive = {"attributes": attributes, "indices": indices, "material": material}
+        if channels:
+            primitive["targets"] = _targets(builder, skin, channels, used, scale)
         primitives.append(primitive)
     return primitives
 
 
+def _targets(
+    builder: _Builder, skin: Skin, channels: Sequence[str], used: np.ndarray, scale: float
+) -> list[dict[str, int]]:
+    """Add the morph targets of a primitive with these vertices (N,) of a skin; return them."""
+    still = builder.displacements(np.zeros((len(used), 3)))
+    targets = []
+    for channel in channels:
+        target = still
+        if (morph := skin.morphs.get(channel)) is not None:
+            moved = np.zeros(skin.vertices.shape)
+            moved[morph.vertices] = scale * morph.offsets
+            if moved[used].any():
+                target = builder.displacements(moved[used])
+        targets.append({"POSITION": target})
+    return targets
+
+
 def _animate(
     builder: _Builder,
-    fps: float,
+    motion: Motion,
     name: str,
     rotations: Mapping[int, np.ndarray],
     translations: Mapping[int, np.ndarray],
+    weights: Mapping[int, np.ndarray] = MappingProxyType({}),
 ) -> None:
-    """Add an animation of nodes; what stands still has one key, but the first translation all."""
-    n_frames = len(next(iter(rotations.values())))
-    times = {n_frames: builder.bounded(np.arange(n_frames)[:, None] / fps)}
+    """Add an animation of nodes; what stands still has one key, but the first translation all.
+
+    Args:
+        builder: the file.
+        motion: T frames, for their rate and the origin of its face.
+        name: of the animation.
+        rotations: (T, 4) by node.
+        translations: (T, 3) by node.
+        weights: (T, E) of morph targets by node.
+    """
+    times = {motion.n_frames: builder.bounded(motion.times[:, None])}
     channels, samplers = list[dict[str, Any]](), list[dict[str, Any]]()
-    for path, curves in (("translation", translations), ("rotation", rotations)):
-        for node, values in curves.items():
+    curves = {"translation": translations, "rotation": rotations, "weights": weights}
+    for path, of_nodes in curves.items():
+        for node, values in of_nodes.items():
             keys = (steady_signs(values) if path == "rotation" else values).astype("<f4")
             if channels and not np.ptp(keys, axis=0).any():
                 keys = keys[:1]
             if len(keys) not in times:
                 times[1] = builder.bounded(np.zeros((1, 1)))
             channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
-            samplers.append({"input": times[len(keys)], "output": builder.array(keys)})
-    extras = {"fps": fps, "frames": n_frames}
+            output = builder.array(keys.reshape(-1, 1) if path == "weights" else keys)
+            samplers.append({"input": times[len(keys)], "output": output})
+    extras: dict[str, Any] = {"fps": motion.fps, "frames": motion.n_frames}
+    if motion.face is not None and motion.face.origin == "rules":
+        extras["face"] = "rules"
     animation = {"name": name, "channels": channels, "samplers": samplers, "extras": extras}
     builder.append("animations", animation)
 
@@ -286,15 +411,37 @@ def animated_avatar(avatar: Avatar, motion: Motion, name: str, scale: float) -> 
     frame = tree.matrices()[above] if above >= 0 else np.eye(4)
     places = motion.translation / scale * ([-1, 1, -1] if avatar.is_backwards else [1, 1, 1])
     places = np.linalg.solve(frame[:3, :3], (places - frame[:3, 3]).T).T
-    _animate(builder, motion.fps, name, rotations, {hips: places})
+    weights = {} if motion.face is None else _weights(avatar.gltf, motion.face)
+    weights, alone = _or_triangle(builder, name, motion.face, weights)
+    _animate(builder, motion, name, rotations, {hips: places}, weights)
     roots = [node for node, parent in enumerate(tree.parents) if parent < 0]
     whole = {"name": "avatar", "children": roots, "scale": [scale] * 3}
     root = builder.append("nodes", whole | {"rotation": upright.tolist()})
-    builder.json |= {"scene": 0, "scenes": [{"nodes": [root]}]}
+    builder.json |= {"scene": 0, "scenes": [{"nodes": [root, *alone]}]}
     try:
         return builder.file()
     except ValueError:
         raise avatar.gltf.error("its JSON part holds numbers that are not finite") from None
+
+
+def _weights(gltf: Gltf, face: FaceTrack) -> dict[int, np.ndarray]:
+    """Return, by node, weights (T, N) of the meshes that have morph targets named as channels.
+
+    Raises:
+        FormatError: over `MAX_CHANNELS` targets in them.
+    """
+    values, found, total = dict(zip(face.names, face.values.T)), dict[int, np.ndarray](), 0
+    for node, entry in enumerate(gltf.items("nodes")):
+        names, n_targets = target_names(gltf, entry)
+        if n_targets == len(names) and values.keys() & set(names):
+            total += len(names)
+            if total > MAX_CHANNELS:
+                raise gltf.error(f"over {MAX_CHANNELS} morph targets with names of the face's")
+            holder = entry if "weights" in entry else gltf.item("meshes", entry["mesh"])
+            rest = gltf.numbers(holder, "weights", [0.0] * len(names))
+            columns = [values.get(name, np.full(len(face), w)) for name, w in zip(names, rest)]
+            found[node] = np.stack(columns, axis=1)
+    return found
 
 
 def _embedded(gltf: Gltf) -> _Builder:
