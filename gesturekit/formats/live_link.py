@@ -85,7 +85,7 @@ def read_live_link(path: str | os.PathLike[str], fps: float, n_frames: int) -> F
 def _rows(path: Path) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Return names of E channels, timecodes (N, 2) as seconds and frames, and values (N, E)."""
     known = {name.lower(): name for name in ARKIT}
-    found = []
+    found = list[np.ndarray]()
     try:
         content = io.BytesIO(read_bytes(path, _MOST_BYTES, FormatError))
         text = io.TextIOWrapper(content, encoding="utf-8-sig", newline="")

@@ -181,8 +181,8 @@ def vrm_animation(motion: Motion, name: str) -> bytes:
     nodes = {joint: {"node": k} for k, joint in enumerate(motion.skeleton.names)}
     bones = {bone: nodes[ours] for bone, ours in our_names(True).items() if ours in nodes}
     extension: dict[str, Any] = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
-    builder.json |= {"extensions": {"VRMC_vrm_animation": extension}}
-    builder.json["extensionsUsed"] = [*builder.json["extensions"]]
+    extensions = {"VRMC_vrm_animation": extension}
+    builder.json |= {"extensions": extensions, "extensionsUsed": [*extensions]}
     rotations, translations = _curves(motion)
     expressions = {} if motion.face is None else expressions_of(motion.face)
     for expression, values in expressions.items():
