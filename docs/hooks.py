@@ -24,7 +24,6 @@ PACKAGES = (
     "gesturekit.motion.parts",
     "gesturekit.motion.retarget",
     "gesturekit.formats",
-    "gesturekit.face",
     "gesturekit.corpus",
     "gesturekit.evaluation",
     "gesturekit.study",

@@ -35,7 +35,7 @@ _COLUMNS = """
     LeftEyePitch LeftEyeRoll RightEyeYaw RightEyePitch RightEyeRoll
 """
 """Values of a row, in the order of the app."""
-_MOST_BYTES = 256 << 20
+_MOST_BYTES, _MOST_ROWS = 256 << 20, 500_000
 """Largest file: over an hour at 60 frames a second."""
 _DAY = 24 * 3600.0
 _TIMECODE = re.compile(r"(\d\d?):(\d\d?):(\d\d?)[:;]((?:\d\d?|1[01]\d)(?:\.\d{1,9})?)")
@@ -85,10 +85,11 @@ def read_live_link(path: str | os.PathLike[str], fps: float, n_frames: int) -> F
 def _rows(path: Path) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Return names of E channels, timecodes (N, 2) as seconds and frames, and values (N, E)."""
     known = {name.lower(): name for name in ARKIT}
-    found = []
+    found = list[np.ndarray]()
     try:
-        text = read_bytes(path, _MOST_BYTES, FormatError).decode("utf-8-sig")
-        rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+        content = io.BytesIO(read_bytes(path, _MOST_BYTES, FormatError))
+        text = io.TextIOWrapper(content, encoding="utf-8-sig", newline="")
+        rows = csv.reader(text, strict=True)
         head = [cell.strip().lower() for cell in next(rows, [])]
         columns = {known[cell]: k for k, cell in enumerate(head) if cell in known}
         if "timecode" not in head or not columns:
@@ -96,6 +97,8 @@ def _rows(path: Path) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
         at = head.index("timecode")
         for row in rows:
             cells = [row[k] if k < len(row) else "" for k in (at, *columns.values())]
+            if len(found) == _MOST_ROWS:
+                raise FormatError(f"{path}: over {_MOST_ROWS} rows; cut it into parts")
             if any(map(str.strip, cells[1:])):
                 found.append(_numbers(f"{path}, line {rows.line_num}", *cells))
     except (UnicodeDecodeError, csv.Error) as error:

@@ -23,6 +23,7 @@ from gesturekit.motion.defects import (
     jitter_share,
     speed_limit,
 )
+from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, is_upper_body, known_part_labels
 from gesturekit.motion.parts.body_size import body_scale
@@ -63,6 +64,7 @@ def inspect_motion(path: Path, *, parts: Mapping[str, str] | None, **options: An
         "height": figure.height,
         "floor": figure.floor,
         "joints": list(skeleton.names),
+        "face": list(motion.face.names) if motion.face else [],
         "parts": labels,
         **_movement(motion, figure, labels),
         "contact_share": {},
@@ -120,7 +122,15 @@ def _rows(motion: Motion, facts: Mapping[str, Any], figure: Figure) -> dict[str,
         figure.speed_of: speeds if motion.n_frames > 1 else "",
         "feet": feet if shares else "",
         "legs": "none: upper body only" if is_upper_body(skeleton) else "",
+        "face": _face(motion.face),
     }
+
+
+def _face(face: FaceTrack | None) -> str:
+    if face is None:
+        return ""
+    origin = "made by rules from speech" if face.origin == "rules" else face.origin
+    return f"{counted(len(face.names), 'channel')}, {origin}: {listed(face.names, 4)}"
 
 
 def _contents(facts: Mapping[str, Any]) -> dict[str, str]:

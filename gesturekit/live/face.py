@@ -29,6 +29,11 @@ class LiveFace:
         self._values = np.zeros((1, len(self._rules.names)))  # from frame _first
         self._first, self._next = -1, 0
 
+    def shown(self, motion: Motion) -> Motion:
+        """Return a motion with all channels of the face at 1, unless it has one of its own."""
+        values = np.ones((motion.n_frames, len(self._rules.names)))
+        return _with_face(motion, FaceTrack(self._rules.names, values, "rules"))
+
     def added(self, samples: np.ndarray, motion: Motion | None) -> Motion | None:
         """Return a step's motion with its face.
 
@@ -48,4 +53,8 @@ class LiveFace:
         self._next += motion.n_frames
         shown = min(self._next - self._first, last)
         self._values, self._first = self._values[shown:], self._first + shown
-        return motion if motion.face is not None else replace(motion, face=face)
+        return _with_face(motion, face)
+
+
+def _with_face(motion: Motion, face: FaceTrack) -> Motion:
+    return motion if motion.face is not None else replace(motion, face=face)

@@ -44,7 +44,8 @@ class Page:
 
     A frame is a binary message, little endian: two float64, the seconds of the sound to which it
     belongs and the seconds from its capture until now (NaN if unknown); then float32: the root's
-    position in metres and the local quaternions xyzw of all joints.
+    position in metres, the local quaternions xyzw of all joints, and the values of the face
+    channels that move the body, if the example has a face.
 
     Args:
         listening: socket that listens.
@@ -74,6 +75,8 @@ class Page:
         self._token = token
         drawn = DrawnBody.of(example, body)
         self._fitting = drawn.fitting
+        known = () if drawn.face is None else drawn.skins[0].morphs
+        self._channels = [name for name in known if drawn.face and name in drawn.face.names]
         page = json.loads(player_data(example, sound, body=body, framing=framing))
         page["live"] = _joints(drawn)
         places = {"title": "Live", "motion": script_json(page)}
@@ -104,8 +107,10 @@ class Page:
         if step.motion is None or not self._clients:
             return
         motion = step.motion if self._fitting is None else self._fitting.on_body(step.motion)
-        turns = motion.rotations.reshape(motion.n_frames, -1)
-        rows = np.concatenate([motion.translation, turns], axis=1).astype("<f4")
+        columns = [motion.translation, motion.rotations.reshape(motion.n_frames, -1)]
+        if (face := step.motion.face) is not None:
+            columns += [face.channel(name)[:, None] for name in self._channels]
+        rows = np.concatenate(columns, axis=1).astype("<f4")
         lag = float("nan") if step.lag is None else step.lag
         for k, row in enumerate(rows):
             since = k / motion.fps

@@ -284,7 +284,13 @@ class Session:
         # A first step compiles and fills caches, for which no microphone waits.
         self._stream(model, source).step(np.zeros(source.rate, np.float32))
         stream = self._stream(model, source)
-        example = cache(lambda: model.generate(seconds=_EXAMPLE_SECONDS, seed=self.seed))
+        face = LiveFace(stream, self.seed) if self.face == "energy" else None
+
+        @cache
+        def example() -> Motion:
+            motion = model.generate(seconds=_EXAMPLE_SECONDS, seed=self.seed)
+            return motion if face is None else face.shown(motion)
+
         try:
             opened = [self._opened(sink, source, example) for sink in self.sinks]
         except ImportError as error:
@@ -296,7 +302,6 @@ class Session:
         while not all(getattr(sink, "is_open", True) for sink in opened):
             if time.monotonic() >= latest or stopped.wait(_PAGE_POLL):
                 break
-        face = LiveFace(stream, self.seed) if self.face == "energy" else None
         about: dict[str, Any] = {"report": report, "stopped": stopped, "warn": self._warn}
         run(stream, source, opened, face=face, **about)
 

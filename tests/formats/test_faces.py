@@ -121,6 +121,17 @@ def test_hostile_weights_are_refused_in_one_line(tmp_path, case):
     assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
 
 
+def test_small_files_with_one_mesh_at_many_nodes_do_not_take_minutes(tmp_path):
+    file = with_morphs(([f"c{k}" for k in range(500)], 500))
+    file.json["nodes"] += [{"mesh": 0}] * 15_000
+    file.animate([(2, "weights", [0], [0.5] * 500), (0, "rotation", [0, 1], TURNS)])
+    file.json["animations"][0]["channels"] += [
+        {"sampler": 0, "target": {"node": node, "path": "weights"}} for node in range(3, 15_000)
+    ]
+    with pytest.raises(FormatError, match=r"a\.glb: names of its morph targets would take"):
+        Motion.load(file.save(tmp_path / "a.glb"), fps=1)
+
+
 def test_small_files_with_long_faces_do_not_fill_memory(tmp_path):
     """A thousand channels of two keys, 9 hours apart."""
     file = with_morphs(([f"c{k}" for k in range(1000)], 1000))
@@ -176,6 +187,8 @@ def test_morphs_of_a_skin_become_targets(gesture, tmp_path):
     zero = [[0, 0, 0]] * 4
     assert targets[0] == [zero, (0.5 * moved[:4]).tolist(), zero]
     assert targets[1] == [[*zero[:2], [0, -1.5, 0], zero[0]], (0.5 * moved[4:]).tolist(), zero]
+    full = gltf.json["accessors"][mesh["primitives"][1]["targets"][1]["POSITION"]]
+    assert "sparse" not in full  # as indices would take more
     one = gltf.json["accessors"][mesh["primitives"][1]["targets"][0]["POSITION"]]
     assert one["sparse"]["count"] == 1 and (one["min"], one["max"]) == ([0, -1.5, 0], [0, 0, 0])
     assert Motion.load(tmp_path / "a.glb").face.values.tolist() == [[1, 0, 0]] * 3

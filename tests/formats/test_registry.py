@@ -1,5 +1,6 @@
 """The registry of motion formats keeps what it promises, entry by entry."""
 
+from dataclasses import replace
 from inspect import signature
 
 import numpy as np
@@ -9,6 +10,7 @@ from gesturekit.errors import FormatError
 from gesturekit.formats.fbx import blender_command
 from gesturekit.formats.registry import FORMATS, Format, load_function
 from gesturekit.motion import Motion
+from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.rotations import rotation_angles
 
 OF_ANOTHER_RIG = ".vrma"
@@ -30,8 +32,15 @@ def test_what_is_written_is_read_again(entry, gesture, tmp_path):
         except FormatError:
             pytest.skip("Blender not found")
     motion = gesture(1.0)
-    motion.save(tmp_path / f"a{entry.suffix}")
+    face = FaceTrack(("jawOpen", "mine"), [[k / 30, 0.25] for k in range(30)], "rules")
+    replace(motion, face=face).save(tmp_path / f"a{entry.suffix}")
     again = Motion.load(tmp_path / f"a{entry.suffix}")
+    if entry.suffix == ".bvh":
+        assert again.face is None
+    else:
+        assert again.face.names == face.names
+        assert again.face.origin == ("recorded" if entry.suffix == ".fbx" else "rules")
+        np.testing.assert_allclose(again.face.values, face.values, atol=1e-6)
     assert (again.fps, again.skeleton.names) == (motion.fps, motion.skeleton.names)
     assert rotation_angles(again.rotations, motion.rotations).max() < 1e-4
     np.testing.assert_allclose(again.positions(), motion.positions(), atol=1e-4)

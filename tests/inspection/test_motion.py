@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.errors import GestureKitError
 from gesturekit.inspection import Summary, inspect
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.face import FaceTrack
 
 
 def row(summary: Summary, label: str) -> str:
@@ -112,6 +113,18 @@ def test_suspicious_motion_is_reported_with_its_frame(gesture, tmp_path):
         rotations[:, joint] = (Rotation.from_quat(rotations[:, joint]) * swing).as_quat()
     replace(motion, rotations=rotations).save(tmp_path / "take.npz")
     assert "tremble" in " ".join(inspect(tmp_path / "take.npz").problems)
+
+
+def test_a_face_is_listed_with_its_origin(gesture, tmp_path):
+    motion = gesture(1.0)
+    face = FaceTrack(("jawOpen", "tongueOut"), np.zeros((motion.n_frames, 2)), "rules")
+    for name, shown in (("a.glb", face), ("b.bvh", None)):
+        replace(motion, face=face).save(tmp_path / name)
+        summary = inspect(tmp_path / name)
+        assert summary.facts["face"] == (list(face.names) if shown else [])
+        assert ("face" in dict(summary.rows)) == bool(shown)
+    listed = row(inspect(tmp_path / "a.glb"), "face")
+    assert listed == "2 channels, made by rules from speech: jawOpen, tongueOut"
 
 
 def test_parts_can_be_named_by_hand(gesture, tmp_path):

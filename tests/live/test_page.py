@@ -8,7 +8,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -22,6 +22,7 @@ from websockets.sync.client import connect
 from gesturekit.live import Step
 from gesturekit.live.page import Page
 from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion.face import FaceTrack
 from gesturekit.viewer.human import Human
 
 pytestmark = bundled
@@ -62,6 +63,8 @@ def serve() -> Iterator[Callable[..., Served]]:
         skeleton = LoudModel().skeleton
         example = raised(skeleton, np.full(30, raised_by), 30.0)
         hosts = access.pop("hosts", ("127.0.0.1",))
+        if names := access.pop("face", ()):
+            example = replace(example, face=FaceTrack(names, np.ones((30, len(names))), "rules"))
         page = Page(listening, hosts, example, body=body, sound=sound, **access)
         opened.append(page)
         return Served(page, listening.getsockname()[1], skeleton)
@@ -111,6 +114,27 @@ def test_a_client_gets_each_pose_with_the_time_of_its_sound(serve):
         arm, hand = (places[rig.index(name)] for name in ("RightArm", "RightHand"))
         np.testing.assert_allclose((hand - arm) / np.linalg.norm(hand - arm), direction, atol=0.03)
         assert places[:, 1].min() == pytest.approx(0.08, abs=0.08)
+
+
+def test_the_body_on_the_page_gets_its_face(serve, open_browser):
+    names = ("unknown", "jawOpen", "eyeBlinkLeft")
+    served, browser = serve(face=names), open_browser()
+    order = sorted(names[1:], key=list(Human.load().skins[0].morphs).index)
+    motion = raised(served.skeleton, np.zeros(3), 30.0)
+    face = FaceTrack(names, np.outer([1, 2, 3], [0.3, 0.25, 0.125]), "rules")
+    browser.open(f"http://127.0.0.1:{served.port}/", width=320, height=320)
+    browser.wait("document.documentElement.dataset.state == 'ready'")
+    with connect(served.url) as client:
+        while not served.page.is_open:
+            time.sleep(0.01)
+        served.page.put(Step(SILENCE, replace(motion, face=face), 2.0, None))
+        numbers = [np.frombuffer(client.recv(timeout=5)[16:], "<f4") for _ in range(3)]
+    expected = np.stack([face.channel(name) for name in order], axis=1)
+    n_joints = Human.load().skeleton.n_joints
+    np.testing.assert_allclose([row[3 + 4 * n_joints :] for row in numbers], expected)
+    browser.wait("document.documentElement.dataset.frames == 3")
+    shown = browser.run("[...live.figure.skin.face.slice(0, 6)]")
+    np.testing.assert_allclose(shown, expected.ravel())
 
 
 DRIFT = """((ppm) => {

@@ -14,7 +14,6 @@ import numpy as np
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.motion.face import ARKIT, FaceTrack, is_smplx
 
-_EXTENSION = "VRMC_vrm_animation"
 VMC_NAMES = {
     **{"aa": "A", "ih": "I", "ou": "U", "ee": "E", "oh": "O"},
     **{"blink": "Blink", "blinkLeft": "Blink_L", "blinkRight": "Blink_R"},
@@ -52,14 +51,9 @@ def expressions_of(face: FaceTrack) -> dict[str, np.ndarray]:
     opened, funnel, pucker, left, right = (given.get(name, zero) for name in _OF_MOUTH)
     opened = np.maximum(opened - given.get("mouthClose", zero), 0)
     wide = (left + right) / 2
-    vowels = np.stack([
-        opened * (1 - np.maximum.reduce([wide, funnel, pucker])),
-        wide * (1 - opened),
-        pucker,
-        wide * opened,
-        funnel,
-    ])  # fmt: skip
-    vowels /= np.maximum(vowels.sum(axis=0), 1)
+    others = np.maximum.reduce([wide, funnel, pucker])
+    shares = opened * (1 - others), wide * (1 - opened), pucker, wide * opened, funnel
+    vowels = np.array(shares) / np.maximum(sum(shares), 1)
     made = dict(zip(_VOWELS, vowels)) if given.keys() & set(_OF_MOUTH) else {}
     made |= {preset: given[name] for preset, name in _OF_EYES.items() if name in given}
     return {name: values for name, values in (made | given).items() if name not in _GAZE}
@@ -78,12 +72,10 @@ def expression_nodes(gltf: Gltf) -> dict[str, int]:
     Raises:
         FormatError: a node that does not exist.
     """
-    extension = gltf.object(gltf.object(gltf.json, "extensions"), _EXTENSION)
-    groups = gltf.object(extension, "expressions")
-    found: dict[str, int] = {}
-    for kind in ("preset", "custom"):
-        entries = gltf.object(groups, kind)
-        for name in entries:
-            node = gltf.object(entries, name).get("node")
-            found[name] = gltf.whole(node, len(gltf.items("nodes")), f"node of {name[:60]!r}")
-    return found
+    extension = gltf.object(gltf.object(gltf.json, "extensions"), "VRMC_vrm_animation")
+    groups, n_nodes = gltf.object(extension, "expressions"), len(gltf.items("nodes"))
+    return {
+        name: gltf.whole(gltf.object(entries, name).get("node"), n_nodes, f"node of {name[:60]!r}")
+        for entries in (gltf.object(groups, kind) for kind in ("preset", "custom"))
+        for name in entries
+    }

@@ -35,8 +35,8 @@ _SLOWEST, _FASTEST = 20.0, 240.0
 _ALIKE = 5e-3
 """Relative distance within which a common rate is likelier than the mean of the steps."""
 _NO_KEYS_RATE = 30.0
-_LONGEST_NAME = 200
-"""Characters of the name of a face channel."""
+_LONGEST_NAME, _NAME_STEPS = 200, 50
+"""Characters of the name of a face channel, and work for one."""
 
 
 class NoAnimationWarning(UserWarning):
@@ -274,6 +274,7 @@ class _Keys:
             names, n_targets = [self._expressions.get(node, "")], 1
             if path == "weights":
                 names, n_targets = target_names(gltf, gltf.item("nodes", node))
+                gltf.spend("names of its morph targets", work=_NAME_STEPS * len(names))
             if len(names) != n_targets or len(found) + n_targets > MAX_CHANNELS:
                 what = f"{n_targets} morph targets with {len(names)} targetNames are left out"
                 need = f"expected a name for each, and at most {MAX_CHANNELS} in all"

@@ -164,9 +164,8 @@ def animated_skeleton(
         body = builder.append("nodes", {"name": f"{name}_mesh", "mesh": mesh, "skin": 0})
         builder.json["scenes"][0]["nodes"].append(body)
         weights = {body: motion.face.values} if motion.face is not None and channels else {}
-    if motion.face is not None and not weights:
-        weights = {_face_alone(builder, name, motion.face.names): motion.face.values}
-        builder.json["scenes"][0]["nodes"] += weights
+    weights, alone = _or_triangle(builder, name, motion.face, weights)
+    builder.json["scenes"][0]["nodes"] += alone
     _animate(builder, motion, name, *_curves(motion), weights)
     return builder.file()
 
@@ -182,8 +181,8 @@ def vrm_animation(motion: Motion, name: str) -> bytes:
     nodes = {joint: {"node": k} for k, joint in enumerate(motion.skeleton.names)}
     bones = {bone: nodes[ours] for bone, ours in our_names(True).items() if ours in nodes}
     extension: dict[str, Any] = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
-    builder.json |= {"extensions": {"VRMC_vrm_animation": extension}}
-    builder.json["extensionsUsed"] = [*builder.json["extensions"]]
+    extensions = {"VRMC_vrm_animation": extension}
+    builder.json |= {"extensions": extensions, "extensionsUsed": [*extensions]}
     rotations, translations = _curves(motion)
     expressions = {} if motion.face is None else expressions_of(motion.face)
     for expression, values in expressions.items():
@@ -223,13 +222,21 @@ def _mesh(
     return mesh
 
 
-def _face_alone(builder: _Builder, name: str, channels: Sequence[str]) -> int:
-    """Add a triangle with morph targets that do not move it; return its node."""
+def _or_triangle(
+    builder: _Builder, name: str, face: FaceTrack | None, weights: dict[int, np.ndarray]
+) -> tuple[dict[int, np.ndarray], list[int]]:
+    """Return the weights (T, E) of a face by node, and nodes that were added.
+
+    Where no node has any, that is a triangle with morph targets that do not move it.
+    """
+    if weights or face is None or not face.names:
+        return weights, []
     corners = builder.bounded(_TRIANGLE * np.eye(3), _VERTICES)
     still = {"POSITION": builder.displacements(np.zeros((3, 3)))}
-    primitives = [{"attributes": {"POSITION": corners}, "targets": [still] * len(channels)}]
-    mesh = builder.append("meshes", _mesh(name, primitives, channels))
-    return builder.append("nodes", {"name": f"{name}_face", "mesh": mesh})
+    primitives = [{"attributes": {"POSITION": corners}, "targets": [still] * len(face.names)}]
+    mesh = builder.append("meshes", _mesh(name, primitives, face.names))
+    node = builder.append("nodes", {"name": f"{name}_face", "mesh": mesh})
+    return {node: face.values}, [node]
 
 
 def _rig(skeleton: Skeleton) -> tuple[list[dict[str, Any]], list[int], np.ndarray]:
@@ -405,10 +412,7 @@ def animated_avatar(avatar: Avatar, motion: Motion, name: str, scale: float) -> 
     places = motion.translation / scale * ([-1, 1, -1] if avatar.is_backwards else [1, 1, 1])
     places = np.linalg.solve(frame[:3, :3], (places - frame[:3, 3]).T).T
     weights = {} if motion.face is None else _weights(avatar.gltf, motion.face)
-    alone = []
-    if motion.face is not None and not weights:
-        alone = [_face_alone(builder, name, motion.face.names)]
-        weights = {alone[0]: motion.face.values}
+    weights, alone = _or_triangle(builder, name, motion.face, weights)
     _animate(builder, motion, name, rotations, {hips: places}, weights)
     roots = [node for node, parent in enumerate(tree.parents) if parent < 0]
     whole = {"name": "avatar", "children": roots, "scale": [scale] * 3}

@@ -52,17 +52,21 @@ function emptied(figure, { parents }) {
   Object.assign(figure, { n_frames: 0, step: 1, steps: new Float32Array(count * figure.channels) });
   figure.root = new Float32Array(3 * count);
   if (figure.skin) figure.skin.turns = new Float32Array(count * 4 * figure.n_joints);
+  if (figure.skin?.face) figure.skin.face = new Float32Array(count * figure.skin.levels[0].morphs.length);
   return count;
 }
 
-// Append a frame: the root's position, and the local quaternions of the joints.
+// Append a frame: the root's position, the local quaternions of the joints, and the face.
 function append(figure, { parents, offsets }, count, numbers) {
   const { steps, channels, n_joints: joints, skin } = figure;
   const rows = [[steps, channels]];
+  const face = numbers.subarray(3 + 4 * joints);
   if (skin) rows.push([skin.turns, 4 * joints]);
+  if (skin?.face) rows.push([skin.face, face.length]);
   if (figure.n_frames === count) for (const [values, width] of rows) values.copyWithin(0, width);
   else figure.n_frames += 1;
   const frame = figure.n_frames - 1;
+  skin?.face?.set(face, frame * face.length);
   const turns = [];
   const places = [];
   parents.forEach((above, j) => {
