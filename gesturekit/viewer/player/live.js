@@ -51,7 +51,7 @@ function emptied(figure, { parents }) {
   figure.channels = 3 * parents.length;
   Object.assign(figure, { n_frames: 0, step: 1, steps: new Float32Array(count * figure.channels) });
   figure.root = new Float32Array(3 * count);
-  if (figure.skin) Object.assign(figure.skin, { turns: new Float32Array(count * 4 * figure.n_joints), face: null });
+  if (figure.skin) figure.skin.turns = new Float32Array(count * 4 * figure.n_joints);
   return count;
 }
 
