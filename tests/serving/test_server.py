@@ -197,6 +197,19 @@ def test_a_device_that_is_not_there_is_one_line_and_exit_2(gesturekit):
     gesturekit("serve", "--model", "demo", "--port", 0, "--device", "cuda:7").fails(2, "'cuda:7'")
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--port", "65536", "65535"),
+        ("--port", "-1", "65535"),
+        ("--token-file", "none", "'none' does not exist"),
+        ("--token-file", ".", "'.' is a directory"),
+    ],
+)
+def test_an_address_or_token_that_cannot_be_is_refused(gesturekit, option, value, says):
+    gesturekit("serve", "--model", "demo", option, value).fails(2, option, says)
+
+
 def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):
     with socket.create_server(("127.0.0.1", 0)) as used:
         number = used.getsockname()[1]
