@@ -458,9 +458,9 @@ def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) ->
     apart, numbers = [], []
     for text in wanted.split(","):
         match = _SPAN.fullmatch(text.strip())
-        start, end = (float(match["start"]), float(match["end"])) if match else (0.0, 0.0)
-        if match is None or end <= start:
+        if match is None or float(match["end"]) <= float(match["start"]):
             raise ModelError(f"style {text.strip()!r}: spans look like old@0-10,angry@10-20")
+        start, end = float(match["start"]), float(match["end"])
         numbers.append(style_number(names, match["name"]))
         apart.append(np.maximum(np.maximum(start - time, time - end + 0.5 / fps), 0.0))
     holds = np.stack(apart) <= np.min(apart, axis=0) + 1e-6

@@ -218,7 +218,7 @@ def skeleton_layers(
     config: NetworkConfig,
     *,
     output: bool,
-    n_concatenated: int = 0,
+    n_concatenated: int,
 ) -> Sequence[SkeletonConv1d]:
     """Return the skeleton convolutions of one level, from motion vectors to hidden features.
 

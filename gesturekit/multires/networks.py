@@ -181,7 +181,7 @@ class LevelDiscriminator(nn.Module):
         self, representation: MultiresRepresentation, config: NetworkConfig, n_styles: int = 0
     ) -> None:
         super().__init__()
-        self.layers = skeleton_layers(representation, config, output=False)
+        self.layers = skeleton_layers(representation, config, output=False, n_concatenated=0)
         width = self.layers[-1].shape[0]
         self.score = nn.Conv1d(width, 1, config.kernel)
         if n_styles:

@@ -170,6 +170,7 @@ def test_a_wrong_npz_says_what_is_missing(talk, arrays, complaint):
     "settings, complaint",
     [
         ({"dim": 0}, r"(?=.*dim).*\b0"),
+        ({}, r"(?=.*dim).*\b0"),
         ({"dim": 4, "suffix": ".npy"}, r"(?=.*rate).*\.npy"),
         ({"dim": 4, "folder": "nowhere"}, "nowhere"),
         ({"dim": 65_537}, "(?=.*dim).*65537"),

@@ -342,6 +342,7 @@ def test_sanity_prints_its_table_and_names_what_it_left_out(gesturekit, write_pa
         write_pair(recordings, name, 3.0, fps=25.0)
     (recordings / "mute.wav").write_bytes(b"RIFF")
     done = gesturekit("evaluate", "--sanity", recordings, "--out", page, "--workers", 1)
-    done.fails(1, "mute")
+    done.fails(1, "Left out: mute")
     assert "half reach" in done.out and "half reach" in page.read_text()
-    assert str(page) in done.out
+    assert "<title>Known-bad motion made from" in page.read_text()
+    assert f"written  {page}" in done.out

@@ -83,9 +83,10 @@ def test_a_model_is_written_and_its_fingerprint_printed(gesturekit, motions, tmp
         assert fact in done.out
     kept = gesturekit(*fit, tmp_path / "one", "--existing", "skip").ok()
     assert kept.out == "" and str(tmp_path / "one") in kept.err
-    for more, is_same in (((), True), (("--seed", 1), False)):
+    for more, is_same in (((), True), (("--seed", 1), False), (("--frames", 16), False)):
         other = gesturekit(*fit, tmp_path / "two", "--existing", "replace", *more).ok()
         assert (fingerprint in other.out) == is_same
+    assert "16 frames" in other.out
 
 
 def test_unreadable_files_are_listed_and_left_out(gesturekit, motions, tmp_path):

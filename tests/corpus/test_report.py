@@ -54,12 +54,15 @@ def test_every_row_of_a_report():
         "body heights": "1 |1.5 m",
         "joints": "2 ",
         "sample rates": "16000 Hz|44100 Hz",
-        "speakers": "ann|2|bob|1",
-        "styles": "calm|1",
+        "speakers": "ann (2), bob (1), not named (1)",
+        "styles": "not named (3), calm (1)",
         "shift": f"{1 + LEAD:.2f} s",
         "left out": "1 ",
     }.items():
         assert all(fact in found[row] for fact in facts.split("|")), row
+    assert rows(items, recordings[2:])["styles"] == "none named"
+    many = [recording(f"{k}", style=f"s{k:02d}") for k in range(13)]
+    assert rows([], many)["styles"].endswith("s10 (1), s11 (1) and 1 more")
 
 
 def test_a_corpus_is_found_in_its_folder_or_one_below(tmp_path):

@@ -168,7 +168,7 @@ TURN, WALK, STILL = [0.0, 2.0, 3.0, 6.0, 9.0], [0.0, 0.1, 0.15, 0.3, 0.45], [0.0
     ],
 )
 def test_a_motion_continues_another_within_twice_its_largest_step(bent, before, first, continues):
-    motions = {"a_1": lambda: bent(*before), "a_2": lambda: bent([first[0]] * 2, [first[1]] * 2)}
+    motions = {"a_1": lambda: bent(*before), "a_2": lambda: bent([first[0], 90.0], [first[1], 9.0])}
     assert len(pieces_of_takes(motions)) == continues
 
 

@@ -70,9 +70,10 @@ def test_variants_of_other_writers_are_read(write, change):
         ("HIERARCHY", "WAVE", 1, "HIERARCHY"),
         ("Frames: 3", "Frames: -3", 17, "-3"),
         (SMALL[SMALL.index("0 90 0 0 0") :], "", 18, "3 "),
-        ("12 22 32\n", "12 22 32\n5 5\n", 22, r"(?=.*\b4 of 3\b).*\b2\b"),
+        ("12 22 32\n", "12 22 32\n5 5\n", 22, r"(?=.*\b4 of 3\b).*\b2 values.*need 9 .*cut"),
         ("5 11 21", "5 11,5, 21", 20, "'11.5,'"),
-        ("5 11 21", "5 nan 21", 20, "nan"),
+        ("5 11 21", "5 nan 21", 20, "value 7 of frame 2 is nan.*the gap"),
+        ("5 11 21", "5 1e10 21", 20, "value 7 of frame 2 is 1.*up to [^;]*$"),
         ("11 21 31\n", "11 21\n31 ", 20, " 8 "),
         ("OFFSET 0 50 0", "OFFSET 0 50", 8, "'0 50'"),
         ("CHANNELS 3", "CHANNELS 4", 9, r"(?=.*'4').*\b3\b"),
@@ -80,7 +81,8 @@ def test_variants_of_other_writers_are_read(write, change):
         ("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS", 9, "''.* 0 "),
         ("3 Zrotation Xrotation", "3 Zrotation Zrotation", 9, "Zrotation Zrotation"),
         ("JOINT Chest", "ROOT Chest", 6, "(?=.*'Chest').*'Hips'"),
-        ("JOINT Chest", "BONE Chest", 6, "BONE"),
+        ("JOINT Chest", "BONE Chest", 6, "'BONE Chest'.* in a joint"),
+        ("HIERARCHY\n", "HIERARCHY\nBONE Chest\n", 2, "'BONE Chest'.* outside any joint"),
     ],
 )
 def test_broken_files_are_named_with_their_line(write, old, new, line, says):

@@ -381,6 +381,8 @@ def test_beside_a_clip_pose_and_velocity_go_on(representation, normaliser):
         np.testing.assert_allclose(found[20:31], 0.1 + 0.01 * np.arange(11), atol=1e-6)
         assert (np.abs(np.diff(found, 2)[9:42]) < 0.02).all(), "no leap of 0.2 m"
         assert found[31] > found[30] and found[19] < found[20], "it goes on rising"
+        # Half way through the blend of 10 frames: half of 0.2 m, a quarter of 5 frames' rise.
+        assert found[35] == pytest.approx(0.5 * 0.2 + 0.25 * 5 * 0.01)
         np.testing.assert_allclose(found[np.r_[:7, 44:60]], 0.0, atol=1e-6)
 
 
@@ -397,6 +399,7 @@ def test_at_coarse_levels_clips_are_shorter_and_keep_their_pose(representation, 
     np.testing.assert_allclose(up[inside], 0.2, atol=1e-6)
     last = np.flatnonzero(inside)[-1]
     assert (np.diff(up[last : last + 5]) < 0).all() and up[-1] == pytest.approx(0, abs=1e-6)
+    assert up[last + 3] == pytest.approx(0.1), "half way through the blend of 0.4 s, 5.6 frames"
     pose = posed(representation, 1, (0.0, 1.3, 0.0))
     for second, frame in ((0.48, 7), (0.0, 0), (31 / FPS, 17)):
         _, found = constrained(representation, normaliser, {second: pose}, 32, level=0)

@@ -19,6 +19,8 @@ from gesturekit.inspection import inspect
 from gesturekit.motion.rotations import multiply_quaternions
 from gesturekit.multires import MultiresControls, train
 from gesturekit.multires.conditions import agreed_style, mixed_styles, requested_styles
+from gesturekit.multires.training.trainer import Trainer
+from gesturekit.training.session import session
 
 SINGLE = {"features": None, "training": {"window": None}}
 LABELS = {**SINGLE, "styles": {}, "network": {"modulate": "all"}}
@@ -295,3 +297,12 @@ def test_styles_and_keyframes_from_the_command_line(labelled, corpora, tmp_path,
     other = replace(labelled, noise=replace(labelled.noise, sequences=relabelled))
     apart = np.abs(other.reconstruct("old_0").rotations - made.rotations)
     assert apart.max() > 1e-6, "in its own style"
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_discriminators_see_the_style_where_it_is_asked_for(corpora, tmp_path, asked):
+    styles = {"styles": {"condition_discriminator": asked}}
+    config = small_config(corpora / "labels.jsonl", tmp_path / "run", LABELS, styles)
+    with session(config, resume=False) as (run, device, processes):
+        stage = Trainer(config, run, device, processes, resume=False).stage(0, 1)
+    assert any("styled" in name for name in stage.state()["discriminators"]) == asked

@@ -414,6 +414,8 @@ def test_a_state_can_be_measured_changed_and_given(model, gesture, tmp_path):
     given = model.generate(seconds=4, seed=1, state=state)
     again = model.generate(seconds=4, seed=1, state=tmp_path / "state.npy")
     np.testing.assert_array_equal(given.rotations, again.rotations)
+    whole = [model.generate(seconds=1, state=np.ones((1, 15), kind)) for kind in (int, float)]
+    np.testing.assert_array_equal(*(motion.rotations for motion in whole))
     other = model.generate(seconds=4, seed=1, state=state + 1.0)
     assert not np.allclose(given.rotations, other.rotations)
     held = model.generate(seconds=6, seed=1, state=state)  # longer than the state
@@ -426,6 +428,8 @@ def test_a_state_can_be_measured_changed_and_given(model, gesture, tmp_path):
         (np.zeros((4, 2)), r"\(4, 2\)"),
         (np.zeros(4), r"\(4,\)"),
         (np.zeros((0, 15)), r"\(0, 15\)"),
+        (np.zeros((4, 15, 1)), r"\(4, 15, 1\)"),
+        (np.zeros((4, 15), complex), "complex128"),
         (np.full((4, 15), np.nan), "finite"),
         (np.full((4, 15), "a"), "U1"),
     ],
@@ -504,7 +508,14 @@ def test_training_starts_from_a_model_without_a_state(corpus, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("between", 2.0), ("scale", 0.0), ("kernel", float("nan")), ("mean", 1e9), ("mixing", None)],
+    [
+        ("between", 1.01),
+        ("followed", 0.09),
+        ("scale", 0.0),
+        ("kernel", float("nan")),
+        ("mean", 1e9),
+        ("mixing", None),
+    ],
 )
 def test_a_damaged_folder_is_refused(folder, tmp_path, name, value):
     damaged = shutil.copytree(folder, tmp_path / "model")

@@ -84,14 +84,16 @@ def test_kaldis_wav_scp(folder, tmp_path):
 
 
 def test_jsonl_has_options_for_each_input(folder, tmp_path):
-    given = [{"seed": 3, "style": "old"}, {"start": 0.1, "seconds": 0.2}, {"seconds": 2}]
+    given = [{"seed": 3, "style": "old"}, {"start": 0.1, "seconds": 0.2}, {"seconds": 14400}]
+    given.append({"seed": 0, "start": 0, "channel": 1})
     about = [{"audio": "in/a.wav"}, {"audio": "in/a.wav", "id": "again/a"}, {"id": "idle"}]
+    about.append({"audio": "in/day/b.wav"})
     lines = [json.dumps(one | options) for one, options in zip(about, given, strict=True)]
     (tmp_path / "night.jsonl").write_text("\n".join(lines))
     tasks = find_tasks("night.jsonl", tmp_path / "out")
-    assert [task.id for task in tasks] == ["in/a", "again/a", "idle"]
+    assert [task.id for task in tasks] == ["in/a", "again/a", "idle", "in/day/b"]
     assert [dict(task.more) for task in tasks] == given
-    assert [length_of(task) for task in tasks] == [0.5, 0.2, 2]
+    assert [length_of(task) for task in tasks[:3]] == [0.5, 0.2, 14400]
 
 
 @pytest.mark.parametrize(
@@ -115,6 +117,8 @@ def test_jsonl_has_options_for_each_input(folder, tmp_path):
         ("l.jsonl", '{"schema": 1}', "--corpus"),
         ("l.jsonl", "[" * 20_000, "l.jsonl:1"),
         ("l.jsonl", '{"id": "a", "seconds": 0}', "seconds & 0"),
+        ("l.jsonl", '{"id": "a", "seconds": 14400.1}', "seconds & 14400.1"),
+        ("l.jsonl", '{"audio": "a.wav", "seed": true}', "seed & true"),
         ("l.jsonl", '{"audio": "a.wav", "start": -0.1}', "start & -0.1"),
         ("l.jsonl", '{"audio": "a.wav", "channel": 0}', "channel & 0"),
         ("none.txt", None, "none.txt"),

@@ -193,8 +193,28 @@ def test_a_token_is_long_plain_and_without_spaces(served, gesturekit, tmp_path, 
         assert client.get("/metrics", headers=headers).status_code == status
 
 
+def test_a_service_answers_to_the_names_that_it_is_given(served):
+    client = served("--name", "one.example", "--name", "two.example")
+    for name, status in (("one.example", 200), ("two.example", 200), ("o", 400), ("evil", 400)):
+        assert client.get("/health", headers={"Host": name}).status_code == status
+    assert served.server["address"][0] == "127.0.0.1"
+
+
 def test_a_device_that_is_not_there_is_one_line_and_exit_2(gesturekit):
     gesturekit("serve", "--model", "demo", "--port", 0, "--device", "cuda:7").fails(2, "'cuda:7'")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--port", "65536", "65535"),
+        ("--port", "-1", "65535"),
+        ("--token-file", "none", "'none' does not exist"),
+        ("--token-file", ".", "'.' is a directory"),
+    ],
+)
+def test_an_address_or_token_that_cannot_be_is_refused(gesturekit, option, value, says):
+    gesturekit("serve", "--model", "demo", option, value).fails(2, option, says)
 
 
 def test_a_port_in_use_is_one_line_and_exit_2(gesturekit):

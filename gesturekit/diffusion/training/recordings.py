@@ -179,7 +179,7 @@ class Corpus:
         return [phase for recording in self.read for phase in recording.phases]
 
 
-def read_recordings(config: DiffusionConfig, *, trial: bool = False) -> Recordings:
+def read_recordings(config: DiffusionConfig, *, trial: bool) -> Recordings:
     """Read the training items of a run; with speech input, those that have speech too.
 
     Raises:
@@ -196,7 +196,7 @@ def read_recordings(config: DiffusionConfig, *, trial: bool = False) -> Recordin
     )
 
 
-def read_corpus(config: DiffusionConfig, *, trial: bool = False) -> Corpus:
+def read_corpus(config: DiffusionConfig, *, trial: bool) -> Corpus:
     """Read the recordings of a run with their events; see `read_recordings`."""
     recordings = read_recordings(config, trial=trial)
     motions, read = recordings.motions, []

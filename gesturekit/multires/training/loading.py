@@ -114,7 +114,7 @@ def read_recordings(
     start: MultiresModel | None = None,
     parts: Mapping[str, str] | None = None,
     *,
-    trial: bool = False,
+    trial: bool,
 ) -> Recordings:
     """Read the recordings; a model to start from has their styles, and maybe more."""
     recordings = load_recordings(
