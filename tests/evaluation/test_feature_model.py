@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from rigs import at_rest, rig_of
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import nn
@@ -70,6 +71,12 @@ def test_yoon_poses_are_directions_of_the_upper_body(clips):
     lengths = np.linalg.norm(vectors.reshape(len(vectors), -1, 3), axis=-1)
     assert lengths == pytest.approx(np.ones_like(lengths))
     assert (windows.fps, windows.n_frames, windows.stride) == (15.0, 34, 10)
+
+
+def test_a_rig_without_hips_and_shoulders_faces_nowhere():
+    rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (0, 1, 0))})
+    with pytest.raises(EvaluationError, match="no hips or shoulders"):
+        PoseWindows.fit([at_rest(rig, 60)], joints=["b", "c"])
 
 
 def test_windows_start_every_half_window(clips):
