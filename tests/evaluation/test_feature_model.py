@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rigs import at_rest, rig_of
+from rigs import numbered
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import nn
@@ -73,10 +73,14 @@ def test_yoon_poses_are_directions_of_the_upper_body(clips):
     assert (windows.fps, windows.n_frames, windows.stride) == (15.0, 34, 10)
 
 
-def test_a_rig_without_hips_and_shoulders_faces_nowhere():
-    rig = rig_of({"a": (None, (0, 0, 0)), "b": ("a", (0, 1, 0)), "c": ("b", (0, 1, 0))})
+def test_a_motion_whose_hips_are_not_identified_faces_nowhere(clips):
+    """Its joints are numbered, and all at one place, as in a BVH whose joints move."""
+    rig = numbered(clips[0].skeleton)
+    rig = replace(rig, offsets=np.zeros_like(rig.offsets))
+    bones, windows = ((rig.names[0], rig.names[1]),), PoseWindows.fit(clips)
+    windows = replace(windows, bones=bones, mean=np.zeros(3), scale=np.ones(3))
     with pytest.raises(EvaluationError, match="no hips or shoulders"):
-        PoseWindows.fit([at_rest(rig, 60)], joints=["b", "c"])
+        windows.frames(replace(clips[0], skeleton=rig))
 
 
 def test_windows_start_every_half_window(clips):
