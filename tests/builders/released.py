@@ -15,7 +15,7 @@ from torch import Tensor
 from gesturekit.motion import Motion
 
 BLOCKS, LAYERS, CHANNELS, HEADS, HIDDEN, EMBEDDING = 3, 2, 32, 4, 48, 24
-KERNELS, DILATIONS, SEGMENT = 21, (0, 1, 2), 150
+KERNELS, DILATIONS, SEGMENT, CYCLE = 21, (0, 1, 2), 150, 2
 FEATURES = ("Chroma_0", "Spectralflux_0", "Beatactivation_0")
 STYLES = ("gCA", "gCH", "gJZ", "gKR", "gLH", "gLO", "gPO", "gTP")
 
@@ -39,8 +39,10 @@ def dance(n_frames: int = 90, seed: int = 0) -> Motion:
     return Motion(rig, turns.reshape(n_frames, -1, 4), places, 30.0)
 
 
-def weights(n_motion: int = 61, n_condition: int = 11, seed: int = 0) -> dict[str, Tensor]:
-    """Return all tensors of a released network by name."""
+def weights(
+    n_motion: int = 61, n_condition: int = 11, seed: int = 0, *, convolves: bool = False
+) -> dict[str, Tensor]:
+    """Return all tensors of a released network by name: of Conformers, or of convolutions."""
     rng = torch.Generator().manual_seed(seed)
     tensors: dict[str, Tensor] = {}
 
@@ -62,6 +64,9 @@ def weights(n_motion: int = 61, n_condition: int = 11, seed: int = 0) -> dict[st
         linear(f"{block}.diffusion_projection", EMBEDDING, CHANNELS)
         linear(f"{block}.local_cond_projection", n_condition, CHANNELS)
         linear(f"{block}.output_projection.conv1d", CHANNELS, 2 * CHANNELS, (1,))
+        if convolves:
+            linear(f"{block}.nn.conv1d", CHANNELS, 2 * CHANNELS, (3,))
+            continue
         linear(f"{block}.nn.in_proj", CHANNELS, CHANNELS)
         linear(f"{block}.nn.out_proj", CHANNELS, 2 * CHANNELS)
         for k in range(LAYERS):
@@ -107,10 +112,17 @@ def noise_of(state: dict[str, Tensor], x: Tensor, condition: Tensor, step: int) 
         y = x + linear(f"{block}.diffusion_projection", embedded)
         if condition.shape[-1]:
             y = y + linear(f"{block}.local_cond_projection", condition)
-        y = linear(f"{block}.nn.in_proj", y)
-        for k in range(LAYERS):
-            y = _conformer(state, f"{block}.nn.attention_blocks.{k}", y, DILATIONS[b % 3], linear)
-        gate, signal = linear(f"{block}.nn.out_proj", y).chunk(2, -1)
+        if f"{block}.nn.conv1d.weight" in state:
+            d = 2 ** (b % CYCLE)
+            kernel, bias = (state[f"{block}.nn.conv1d.{kind}"] for kind in ("weight", "bias"))
+            y = F.conv1d(y.mT, kernel, bias, padding=d, dilation=d).mT
+        else:
+            y = linear(f"{block}.nn.in_proj", y)
+            for k in range(LAYERS):
+                layer = f"{block}.nn.attention_blocks.{k}"
+                y = _conformer(state, layer, y, DILATIONS[b % 3], linear)
+            y = linear(f"{block}.nn.out_proj", y)
+        gate, signal = y.chunk(2, -1)
         y = linear(f"{block}.output_projection.conv1d", gate.sigmoid() * signal.tanh())
         x, skips = (x + y[..., :CHANNELS]) / 2**0.5, skips + y[..., CHANNELS:]
     y = linear("skip_projection.conv1d", skips / BLOCKS**0.5).relu()
@@ -143,15 +155,16 @@ def _conformer(state: dict[str, Tensor], name: str, x: Tensor, dilation: int, li
     return norm("norm_1", x + made)
 
 
-def settings(scalers: dict[str, Any], steps: int) -> dict[str, Any]:
+def settings(scalers: dict[str, Any], steps: int, convolves: bool) -> dict[str, Any]:
     """Return the hyperparameters of a checkpoint."""
     network = {"num_blocks": LAYERS, "num_heads": HEADS, "activation": "relu", "dropout": 0.15}
     network |= {"norm": "LN", "d_ff": HIDDEN, "seq_len": SEGMENT, "use_preln": False}
     network |= {"bias": False, "dilation_cycle": list(DILATIONS)}
-    diffusion = {"name": "tisa", "residual_layers": BLOCKS, "residual_channels": CHANNELS}
+    name = "conv" if convolves else "tisa"
+    diffusion = {"name": name, "residual_layers": BLOCKS, "residual_channels": CHANNELS}
     diffusion |= {"embedding_dim": EMBEDDING, "n_noise_schedule": steps}
     diffusion |= {"noise_schedule_start": 0.01, "noise_schedule_end": 0.7}
-    diffusion |= {"args": {"tisa": network, "conv": {"dilation_cycle_length": 10}}}
+    diffusion |= {"args": {"tisa": network, "conv": {"dilation_cycle_length": CYCLE}}}
     data = {"segment_length": SEGMENT, "output_modality": "expmap_30fps", "scalers": scalers}
     return {"Data": data, "Diffusion": diffusion, "lr": 0.0006}
 
@@ -163,6 +176,7 @@ def write_checkpoint(
     *,
     styles: bool = True,
     steps: int = 150,
+    convolves: bool = False,
     **more: Any,
 ) -> dict[str, Tensor]:
     """Write a checkpoint of released vectors (T, 61) and features (T, 3); return its tensors."""
@@ -173,8 +187,12 @@ def write_checkpoint(
         scalers["style_scaler"].mean_ = np.zeros(len(STYLES))
         scalers["style_scaler"].scale_ = np.ones(len(STYLES))
     width = (0 if features is None else len(FEATURES)) + styles * len(STYLES)
-    tensors = weights(motion.shape[1], width)
+    tensors = weights(motion.shape[1], width, convolves=convolves)
     state = {f"diffusion_model.{name}": value for name, value in tensors.items()}
-    about = {"epoch": 3, "state_dict": state, "hyper_parameters": settings(scalers, steps)}
+    about = {
+        "epoch": 3,
+        "state_dict": state,
+        "hyper_parameters": settings(scalers, steps, convolves),
+    }
     torch.save({**about, "loops": {}, "pytorch-lightning_version": "1.8.3", **more}, path)
     return tensors

@@ -91,20 +91,27 @@ def test_the_released_motion_vector_of_a_dance():
 
 
 @pytest.mark.parametrize(
-    ("has_features", "styles", "steps"), [(True, True, 150), (True, False, 8), (False, False, 8)]
+    ("has_features", "styles", "convolves", "steps"),
+    [(True, True, False, 150), (True, False, False, 8), (False, False, False, 8)]
+    + [(True, True, True, 8)],
 )
-def test_each_step_is_that_of_the_released_sampler(tmp_path, has_features, styles, steps):
+def test_each_step_is_that_of_the_released_sampler(
+    tmp_path, has_features, styles, convolves, steps
+):
     motion, rows = dance(), features() if has_features else None
     path = tmp_path / "x.ckpt"
     state = released.write_checkpoint(
-        path, published_vector(motion), rows, styles=styles, steps=steps
+        path, published_vector(motion), rows, styles=styles, steps=steps, convolves=convolves
     )
     names = (STYLES if styles else (), FEATURES if has_features else ())
     model = convert_checkpoint(path, motion, *names)
+    sizes = {"blocks": 3, "channels": 32, "embedding": 24, "step_angles": "float32"}
+    attention = {"heads": 4, "feedforward": 48, "kernels": 21, "farthest_view": 75}
+    attention |= {"layers": 2, "dilations": (0, 1, 2), "dropout": 0.15}
+    convolutions = {"architecture": "diffwave", "dilations": (1, 2)}
     assert model.network.config == NetworkConfig(
-        blocks=3, layers=2, channels=32, embedding=24, heads=4, feedforward=48,
-        dilations=(0, 1, 2), kernels=21, farthest_view=75, dropout=0.15, step_angles="float32",
-    )  # fmt: skip
+        **sizes, **(convolutions if convolves else attention)
+    )
     rng, n_frames = torch.Generator().manual_seed(5), 40
     condition = torch.randn((1, n_frames, model.conditions.width), generator=rng)
     noise = [torch.randn((1, n_frames, 61), generator=rng) for _ in range(steps)]
@@ -252,6 +259,12 @@ def test_other_files_and_wrong_lists(gesturekit, tmp_path, lists):
     (tmp_path / "styles.txt").write_text("\n".join(STYLES[1:]))
     gesturekit("convert-checkpoint", path, *lists).fails(2, "8 styles; 7 names")
     state = torch.load(path, weights_only=False)
+    scaler = state["hyper_parameters"]["Data"]["scalers"]["out_scaler"]
+    for values, wrong, right in ((scaler.scale_, 0.0, 1.0), (scaler.mean_, np.nan, 0.0)):
+        values[3] = wrong
+        torch.save(state, path)
+        gesturekit("convert-checkpoint", path, *lists).fails(2, "finite numbers, scale above 0")
+        values[3] = right
     network = state["hyper_parameters"]["Diffusion"]["args"]["tisa"]
     (tmp_path / "styles.txt").write_text("\n".join(STYLES))
     for name, value, says in (("use_preln", True, "use_preln is True"), ("seq_len", 120, "slopes")):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from rigs import numbered
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import nn
@@ -70,6 +71,16 @@ def test_yoon_poses_are_directions_of_the_upper_body(clips):
     lengths = np.linalg.norm(vectors.reshape(len(vectors), -1, 3), axis=-1)
     assert lengths == pytest.approx(np.ones_like(lengths))
     assert (windows.fps, windows.n_frames, windows.stride) == (15.0, 34, 10)
+
+
+def test_a_motion_whose_hips_are_not_identified_faces_nowhere(clips):
+    """Its joints are numbered, and all at one place, as in a BVH whose joints move."""
+    rig = numbered(clips[0].skeleton)
+    rig = replace(rig, offsets=np.zeros_like(rig.offsets))
+    bones, windows = ((rig.names[0], rig.names[1]),), PoseWindows.fit(clips)
+    windows = replace(windows, bones=bones, mean=np.zeros(3), scale=np.ones(3))
+    with pytest.raises(EvaluationError, match="no hips or shoulders"):
+        windows.frames(replace(clips[0], skeleton=rig))
 
 
 def test_windows_start_every_half_window(clips):
