@@ -60,7 +60,9 @@ def test_speech_is_shown_beside_chance_and_the_recordings_own(drawn):
     ):  # fmt: skip
         assert mark in sync, mark
     assert ([0], [-0.3]) in bc and axes[1].get_ylim()[0] < -0.3 and axes[0].get_ylim()[0] == 0
-    assert names(axes[0].xaxis) == ["a", "b"]
+    assert names(axes[0].xaxis) == ["a", "b"] and axes[0].get_xlim() == (-0.6, 1.6)
+    (legend,) = axes[0].figure.legends
+    assert len(legend.get_texts()) == 3
 
 
 def shown(drawn, title: str, *models: ModelResult, **recorded) -> list:
@@ -85,6 +87,8 @@ def test_movement_is_a_ratio_to_the_recording_with_a_row_for_each_metric(drawn):
         assert mark in marks, mark
     assert not any(y == [jerk - 0.175] for _, y in marks)
     assert low <= 0.45 and high >= 2.2 and axes.get_ylim() == (1.5, -0.5)
+    (legend,) = axes.figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
     assert {"0.5×", "1×", "2×", "5×"} <= {*names(axes.xaxis)}
 
 
@@ -98,6 +102,7 @@ def test_patches_are_shown_recording_by_recording(drawn):
     assert names(coverage.yaxis) == ["r0", "r1"]
     for mark in (([60.0], [0.0]), ([40.0], [1.0]), ([30.0, 50.0], [1.0, 1.0])):
         assert mark in points(coverage), mark
+    assert not coverage.figure.legends, "a single model"
     assert coverage.get_xlim() == (-4, 104) and ([2.0], [1.0]) in points(diversity)
     assert diversity.get_xlim()[1] > 2.0
     alone = model("a", whole, by_recording={"r0": found["r0"]})

@@ -8,7 +8,7 @@ import pytest
 import soundfile
 
 from audio_features import Wave
-from gesturekit.errors import EvaluationError
+from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult, arm_speed
 from gesturekit.evaluation.made_motion import bad_motion
 from gesturekit.evaluation.report.sanity import (
@@ -107,6 +107,8 @@ def test_recordings_that_cannot_be_used_are_named(tmp_path, gesture):
     Motion(pole, still, np.zeros((100, 3)), 25.0).save(tmp_path / "pole.npz")
     with pytest.raises(EvaluationError, match=r"(?=.*broken sound\.wav).*\bpole\b"):
         run_sanity(tmp_path)
+    with pytest.raises(GestureKitError, match="nowhere"):
+        run_sanity(tmp_path, tmp_path / "nowhere")
 
 
 def result(key: str, value: float, **more) -> MetricResult:
@@ -121,15 +123,15 @@ def of_recordings(**values: MetricResult) -> ModelResult:
     ("key", "own", "bad"),
     [
         # A fifth of the recordings' value to either side, where that is the goal.
-        ("reach", result("reach", 1.0), {0.7: "+", 0.9: ".", 1.1: ".", 1.3: "+"}),
+        ("reach", result("reach", 2.0), {1.4: "+", 1.8: ".", 2.2: ".", 2.6: "+"}),
         # The better direction beyond that.
-        ("foot_skate", result("foot_skate", 1.0), {0.7: "!", 0.9: ".", 1.1: ".", 1.3: "+"}),
+        ("foot_skate", result("foot_skate", 2.0), {1.4: "!", 1.8: ".", 2.2: ".", 2.6: "+"}),
         # Enough of it is enough.
         ("coverage", result("coverage", 50.0, recording=40.0), {28.0: "+", 35.0: ".", 70.0: "!"}),
         ("coverage", result("coverage", 50.0), {1.0: " "}),
         ("fgd", result("fgd", 1.0, recording=2.0), {2.7: "+", 2.2: ".", 0.5: "!"}),
         ("likeness", result("likeness", 0.9), {0.75: "+", 0.88: ".", 1.2: "!"}),
-        ("novelty", result("novelty", 1.0), {0.7: "+", 0.9: ".", 1.5: "."}),
+        ("novelty", result("novelty", 2.0), {1.4: "+", 1.8: ".", 3.0: "."}),
         ("in_time", result("in_time", 0.4), {0.15: "+", 0.25: ".", 0.8: "."}),
         ("calm_lively_slope", result("calm_lively_slope", 1.0), {0.1: ".", 9.0: "."}),
     ],

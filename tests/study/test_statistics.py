@@ -136,6 +136,8 @@ def test_shares_are_wilsons_with_the_independent_answers():
     assert wins.value == 0.65 and share(np.r_[scores, 0], *[np.r_[every, 20]] * 2).value == 0.65
     always = share(*answered("uvwuvw", "cccddd", [1] * 6))  # two clips alone are independent
     assert (always.low, always.high) == pytest.approx(proportion_confint(2, 2, method="wilson"))
+    one_clip = share(*answered("uvw", "ccc", [1] * 3))
+    assert one_clip.low == pytest.approx(proportion_confint(3, 3, method="wilson")[0])
 
 
 # Two raters on one clip: a draw of the raters is u alone, v alone, or both, a quarter of all draws
