@@ -34,12 +34,15 @@ FPS = 25.0
 
 @pytest.fixture
 def reaching(skeleton: Skeleton):
-    """reaching(left, right): hands (T, 3) metres from their elbows, on a body that stands."""
+    """reaching(left, right): hands (T, 3) metres from a place far below their elbows, on a body
+    that stands: such long bones hardly change their length."""
 
     def make(left: np.ndarray, right: np.ndarray | None = None, fps: float = FPS) -> Motion:
         rotations = np.zeros((len(left), skeleton.n_joints, 4))
         rotations[..., 3] = 1.0
-        moving = {"LeftHand": left, "RightHand": np.zeros_like(left) if right is None else right}
+        right = np.zeros_like(left) if right is None else right
+        far = np.array([0.0, -9.0, 0.0])
+        moving = {"LeftHand": left + far, "RightHand": right + far}
         still = np.tile([0.0, 0.9, 0.0], (len(left), 1))
         return Motion(skeleton, rotations, still, fps, joint_translations=moving)
 
