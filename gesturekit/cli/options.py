@@ -148,7 +148,7 @@ size_option = click.option(
 )
 framing_option = click.option(
     "--framing",
-    type=click.Choice(["whole", "waist"]),
+    type=click.Choice(["whole", "waist", "face"]),
     help="View of videos, and the first of pages.  [default: whole]",
 )
 

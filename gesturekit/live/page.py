@@ -52,7 +52,7 @@ class Page:
         hosts: names under which the page is reached; ("*",) for any.
         example: motion on the stream's rig, from which its standing pose is measured.
         body: body to draw; see `DrawnBody`.
-        framing: first view, "whole" or "waist".
+        framing: first view, "whole", "waist" or "face".
         sound: file that the page plays with its frames; None for the sound of a microphone.
         token: what a client must send, as `?token=`, as `Authorization: Bearer`, or in the cookie
             that it gets with the page; None for no token.

@@ -44,7 +44,7 @@ class Output:
         body: in glb files, pages, videos and pictures: "mannequin", "human", "skeleton" or the path
             of an avatar (.vrm, or .glb with Mixamo's names); None for mannequin, and for human in
             drawings of a bundled model without a rig.
-        framing: of pages and videos, "whole" or "waist"; None for whole.
+        framing: of pages and videos, "whole", "waist" or "face"; None for whole.
         size: of videos, "720p" or "1080p"; None for 720p.
 
     Raises:
