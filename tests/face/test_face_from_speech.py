@@ -60,7 +60,8 @@ def test_noise_does_not_open_the_mouth_in_pauses(method):
 
 def test_loud_noise_and_claps_hardly_open_the_mouth():
     parts = np.concatenate([voiced(3.0), np.zeros(2 * RATE), voiced(2.0)])
-    assert opening(face_of(wave(parts + noise(7.0, 0.7))))[100:145].max() < 0.2
+    for level in (0.7, 1.0):
+        assert opening(face_of(wave(parts + noise(7.0, level))))[100:145].max() < 0.2
     clap = np.concatenate([noise(0.05), np.zeros(round(0.95 * RATE))])
     assert opening(face_of(wave(np.tile(clap, 8)))).max() < 0.05
 
@@ -77,7 +78,7 @@ def test_long_sounds_are_analysed_in_pieces_without_seams():
     np.testing.assert_allclose(jaw[1830:2040], jaw[1530:1740], atol=1e-3)
     sound = wave(voiced(8.0), np.zeros(2 * RATE), voiced(12.0))
     spoken = opening(face_of(sound, "phones")) > 0.05
-    assert spoken[:240].mean() > 0.2 and not spoken[250:295].any() and spoken[420:].mean() > 0.2
+    assert spoken[:240].mean() > 0.1 and not spoken[250:295].any() and spoken[600:].mean() > 0.1
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -177,6 +178,8 @@ def test_the_lower_lip_meets_the_teeth_at_f_and_lips_are_round_at_w():
     assert roll[1] > 0.4 and roll[[0, 2, 4, 6]].max() < 0.05
     assert pucker[[3, 4, 5, 6]].min() > 0.3 and pucker[[0, 8, 9]].max() < 0.1  # t: lips stay round
     assert jaw[8] < 0.75 * jaw[7] and 0.05 < stretch[8] < 0.25
+    steady = shapes_of("Y Y Y Y Y").channel("mouthStretch")
+    assert abs(steady[20:30] - 0.2).max() < 0.01
 
 
 def test_a_closure_is_seen_however_short_and_however_slow_the_frames():
