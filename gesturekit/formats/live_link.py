@@ -20,6 +20,7 @@ from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError
 from gesturekit.motion.face import ARKIT, FaceTrack
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.skeleton import FARTHEST
 from gesturekit.wording import listed
 
 _COLUMNS = """
@@ -120,7 +121,7 @@ def _numbers(where: str, code: str, *cells: str) -> np.ndarray:
         numbers = np.array([3600 * hours + 60 * minutes + seconds, match[4], *cells], float)
     except ValueError:
         numbers = np.array([np.nan])
-    if not np.isfinite(numbers).all():
+    if not (np.abs(numbers) <= FARTHEST).all():
         raise FormatError(f"{where}: expected {len(cells)} finite numbers, one for each channel")
     return numbers
 

@@ -59,6 +59,7 @@ HOSTILE = {
     "no channel": ("Timecode,HeadYaw\n00:00:00:00,1\n", "EyeBlinkLeft"),
     "no rows": (HEAD + "\n", "no row"),
     "not finite": (HEAD + "\n00:00:00:00,61,nan,0,0\n", "line 2: .*2 finite numbers"),
+    "huge": (HEAD + "\n00:00:00:00,61,0,1e308,0\n", "line 2: .*finite"),
     "no number": (HEAD + "\n00:00:00:00,61,0,0,0\n00:00:00:01,61,0,x,0\n", "line 3: .*finite"),
     "short": (HEAD + "\n00:00:00:00,61,0\n", "line 2: .*finite"),
     "time": (HEAD + "\n0.25,61,0,0,0\n", "line 2: Timecode is '0.25'"),

@@ -205,13 +205,20 @@ def avatars(folder: Path) -> list[bytes]:
 
 
 def splines() -> GltfFile:
-    """Curves of all kinds, and an array of zeros with a value elsewhere."""
+    """Curves of all kinds, a face, and an array of zeros with a value elsewhere."""
     file = arm("CUBICSPLINE").animate([(1, "scale", [0, 1], [(1, 1, 1), (2, 2, 2)])], "STEP")
     zeros = file.array(np.zeros((3, 3)))
     places = {"bufferView": file.view(np.array([1], "<u2").tobytes()), "componentType": 5123}
     values = {"bufferView": file.view(np.ones(3, "<f4").tobytes())}
     file.json["accessors"][zeros]["sparse"] = {"count": 1, "indices": places, "values": values}
-    return file.animate([(1, "translation", [0, 1, 2], zeros)])
+    file.animate([(1, "translation", [0, 1, 2], zeros)])
+    file.json["nodes"] += [{"mesh": 0}, {"name": "aa"}]
+    targets = {"primitives": [{"targets": [{}, {}]}], "extras": {"targetNames": ["jawOpen", "x"]}}
+    file.json["meshes"] = [targets]
+    expressions = {"preset": {"aa": {"node": 3}}, "custom": {"mine": {"node": 3}}}
+    file.json["extensions"] = {"VRMC_vrm_animation": {"expressions": expressions}}
+    x = (3, "translation", [0, 2], [(0, 0, 0), (1, 0, 0)])
+    return file.animate([(2, "weights", [0, 1, 5], [0, 0, 1, 0.5, 0, 1]), x])
 
 
 def animated(folder: Path) -> list[bytes]:

@@ -24,6 +24,7 @@ from gesturekit.diffusion import DiffusionConfig
 from gesturekit.evaluation import read_answers
 from gesturekit.formats.easymocap import read_easymocap
 from gesturekit.formats.gltf.vrm import read_avatar
+from gesturekit.formats.live_link import read_live_link
 from gesturekit.formats.npz import frames_rows
 from gesturekit.formats.tables import load_events, load_root_path, load_semantics
 from gesturekit.inspection import inspect
@@ -76,7 +77,9 @@ class Target:
 
 
 def motion(folder: Path, file: Path) -> None:
-    assert np.isfinite(Motion.load(file).positions()).all(), "positions that are not finite"
+    read = Motion.load(file)
+    assert np.isfinite(read.positions()).all(), "positions that are not finite"
+    assert read.face is None or np.isfinite(read.face.values).all(), "a face that is not finite"
 
 
 def own_features(folder: Path, file: Path) -> None:
@@ -351,6 +354,11 @@ TARGETS = {
         Target(
             *("events", "a.csv", text("time,name,duration", "0.5,nod,", "1,wave,0.5")),
             lambda _, file: load_events(file),
+        ),
+        Target(
+            *("live_link", "a.csv"),
+            text("Timecode,Count,JawOpen", "23:59:59:58.5,61,0.5", "0:0:0:1,61,1", "0:0:1;1,0,"),
+            lambda _, file: read_live_link(file, 30.0, 100),
         ),
         Target(
             *("semantics", "a.txt"),
