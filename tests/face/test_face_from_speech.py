@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 from sounds import voiced
 
 import audio_features as af
 from gesturekit.errors import MotionError
 from gesturekit.face import METHODS, EnergyFace, face_from_speech
+from gesturekit.face.channels import SHAPES
 from gesturekit.face.visemes import Phone, mouth_of_phones
 from gesturekit.motion.face import ARKIT, FaceTrack
 
@@ -56,6 +58,28 @@ def test_noise_does_not_open_the_mouth_in_pauses(method):
     assert opening(face_of(wave(noise(4.0)), method)).max() < 0.05
 
 
+def test_loud_noise_and_claps_hardly_open_the_mouth():
+    parts = np.concatenate([voiced(3.0), np.zeros(2 * RATE), voiced(2.0)])
+    assert opening(face_of(wave(parts + noise(7.0, 0.7))))[100:145].max() < 0.2
+    clap = np.concatenate([noise(0.05), np.zeros(round(0.95 * RATE))])
+    assert opening(face_of(wave(np.tile(clap, 8)))).max() < 0.05
+
+
+def test_sound_of_low_frequency_alone_rounds_the_lips():
+    low = butter(4, 350.0, fs=RATE, output="sos")
+    dark, bright = (face_of(wave(part)) for part in (sosfilt(low, voiced(3.0)), voiced(3.0)))
+    assert dark.channel("mouthPucker").max() > 0.2 > 2 * bright.channel("mouthPucker").mean()
+    assert dark.channel("jawOpen").mean() < 0.5 * bright.channel("jawOpen").mean()
+
+
+def test_long_sounds_are_analysed_in_pieces_without_seams():
+    jaw = opening(face_of(wave(np.tile(voiced(10.0), 7))))
+    np.testing.assert_allclose(jaw[1830:2040], jaw[1530:1740], atol=1e-3)
+    sound = wave(voiced(8.0), np.zeros(2 * RATE), voiced(12.0))
+    spoken = opening(face_of(sound, "phones")) > 0.05
+    assert spoken[:240].mean() > 0.1 and not spoken[250:295].any() and spoken[600:].mean() > 0.1
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seconds", [0.025, 0.3])
 def test_short_sounds_and_other_lengths_of_motion_work(method, seconds):
@@ -100,6 +124,8 @@ def test_gaze_jumps_both_eyes_together_by_small_angles():
     look = face.channel("eyeLookInLeft") - face.channel("eyeLookOutLeft")  # to the right
     assert np.array_equal(face.channel("eyeLookOutRight") - face.channel("eyeLookInRight"), look)
     assert 0.02 < look.std() < 0.2 and abs(look).max() < 0.3
+    up, down = face.channel("eyeLookUpLeft"), face.channel("eyeLookDownRight")
+    assert min(up.max(), down.max()) > 0.02 and not ((up > 0) & (down > 0)).any()
     still = abs(np.diff(look)) < 1e-9
     assert 0.85 < still.mean() < 0.99
 
@@ -133,8 +159,7 @@ def shapes_of(phones: str, fps: float = 25.0) -> FaceTrack:
     names = phones.split()
     spoken = [Phone(name, 0.1 * k, 0.1 * (k + 1)) for k, name in enumerate(names)]
     values = mouth_of_phones(spoken, np.ones(10 * len(names)), hold=1.2 / fps)
-    names = ("jawOpen", "mouthClose", "mouthFunnel", "mouthPucker", "mouthRollLower")
-    return FaceTrack(names, values[:, : len(names)])
+    return FaceTrack(SHAPES, values)
 
 
 @pytest.mark.parametrize("phone", ["P", "B", "M"])
@@ -147,11 +172,25 @@ def test_lips_close_at_bilabial_phones_even_between_open_vowels(phone):
 
 def test_the_lower_lip_meets_the_teeth_at_f_and_lips_are_round_at_w():
     face = shapes_of("AA F AA W UW T UW AA S AA")
-    middle = face.values[5::10].T
-    jaw, _, _, pucker, roll = middle
+    names = ("jawOpen", "mouthPucker", "mouthRollLower", "mouthStretch")
+    jaw, pucker, roll, stretch = (face.channel(name)[5::10] for name in names)
     assert roll[1] > 0.4 and roll[[0, 2, 4, 6]].max() < 0.05
     assert pucker[[3, 4, 5, 6]].min() > 0.3 and pucker[[0, 8, 9]].max() < 0.1  # t: lips stay round
-    assert jaw[8] < 0.75 * jaw[7]
+    assert jaw[8] < 0.75 * jaw[7] and 0.05 < stretch[8] < 0.25
+
+
+def test_a_closure_is_seen_however_short_and_however_slow_the_frames():
+    for start in np.arange(0.5, 0.6, 0.01):
+        phones = [Phone("AA", 0.0, start), Phone("P", start, start + 0.02), Phone("AA", 0.6, 1.2)]
+        mouth = FaceTrack(SHAPES, mouth_of_phones(phones, np.ones(120), hold=1.2 / 10.0))
+        assert opening(mouth)[::10].min() < 0.02
+
+
+def test_phones_move_the_mouth_as_far_as_the_sound_is_loud():
+    phones = [Phone("AA", 0.0, 1.0), Phone("UW", 1.0, 2.0)]
+    loud, soft, none = (mouth_of_phones(phones, np.full(200, x), 0.04) for x in (1.0, 0.5, 0.0))
+    np.testing.assert_allclose(soft[:, 0], 0.5 * loud[:, 0])
+    assert loud.max() > 0.5 and not none.any()
 
 
 def test_without_pocketsphinx_one_line_says_what_to_install(monkeypatch):
