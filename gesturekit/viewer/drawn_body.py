@@ -100,19 +100,13 @@ class DrawnBody:
 
     @cached_property
     def face(self) -> FaceTrack | None:
-        """Channels of the motion's face that move the finest skin; None if none ever does."""
-        face = self.motion.face
-        if face is None or not self.skins:
+        """Channels of the motion's face that move the finest skin; None if there are none."""
+        face, morphs = self.motion.face, self.skins[0].morphs if self.skins else {}
+        names = tuple(name for name in face.names if name in morphs) if face else ()
+        if not face or not names:
             return None
-        moving = [
-            k
-            for k, name in enumerate(face.names)
-            if name in self.skins[0].morphs and face.values[:, k].any()
-        ]
-        if not moving:
-            return None
-        names = tuple(face.names[k] for k in moving)
-        return replace(face, names=names, values=face.values[:, moving])
+        columns = [face.names.index(name) for name in names]
+        return replace(face, names=names, values=face.values[:, columns])
 
 
 def drawn_bodies(

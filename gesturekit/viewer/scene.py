@@ -88,10 +88,6 @@ class Mannequin:
             pieces += balls
         self.mesh = _joined(pieces, owners)
 
-    def mesh_at(self, time: float) -> Mesh:
-        """Return the mesh, which is the same at all times."""
-        return self.mesh
-
     def transforms(self, time: float) -> np.ndarray:
         """Return (N, 3, 4) float32 transforms from each part to the world at `time` seconds."""
         points = points_at(self._figure, time)
@@ -190,7 +186,7 @@ def _lit(
 
     `sun` (3,) points to the light; `camera` (4, 3) is as in `Camera.at`.
     """
-    mesh = body.mesh_at(time)
+    mesh = body.mesh_at(time) if isinstance(body, SkinnedBody) else body.mesh
     vertices, normals, colours = (np.empty_like(mesh.vertices) for _ in range(3))
     about = mesh.vertices, mesh.normals, mesh.parts, mesh.weights
     place(*about, body.transforms(time), vertices, normals)

