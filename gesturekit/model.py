@@ -263,9 +263,12 @@ class Controls(TypedDict, total=False):
     """Frames per second of the result; by default those of the training recordings."""
     face: Annotated[str, Control("off", choices=("energy", "phones", "off"))]
     """Make mouth, blinks and small eye movements by rules: from the energy and voicing of the
-    speech (energy, for any language) or from its phones (phones, for English; extra `face`). They
-    replace a face that the model plays from recordings; off keeps that."""
-    transcript: Annotated[str | None, Control(metavar="TEXT")]
+    speech (energy, for any language) or from its phones (phones, for English, with
+    gesturekit[face]). They replace a face that the model plays from recordings; off keeps that."""
+    transcript: Annotated[
+        str | None,
+        Control(metavar="TEXT", note="By default that of a word list or NAME.txt beside NAME.wav."),
+    ]
     """English text of the speech, for `face` from phones; without it, phones are recognised."""
 
 

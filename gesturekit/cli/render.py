@@ -78,7 +78,8 @@ GROUPS = {
 }
 USUAL = (
     *("model", "corpus", "seconds", "samples", "seed", "out", "formats", "fps", "body", "rig"),
-    *("existing", "workers", "dry_run", "speaker", "style", "start_pose", "in_place", "device"),
+    *("existing", "workers", "dry_run", "speaker", "style", "start_pose", "in_place", "face"),
+    "device",
 )
 """Options that `--help` shows."""
 

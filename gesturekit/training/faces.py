@@ -36,10 +36,9 @@ def with_faces(
     Raises:
         GestureKitError: the face cannot be made, such as from phones without the extra `face`.
     """
-    method = controls["face"]
+    method, text = controls["face"], controls["transcript"]
     if method == "off":
         return [*motions]
-    text = controls["transcript"]
     if wave is None:
         text = None
         log.warning("face=%r: there is no speech; the mouth stays closed", method)
@@ -47,13 +46,6 @@ def with_faces(
     made = []
     for number, motion in enumerate(motions):
         drawn = rng_for(seed, item, "sample", number, "face").initial_seed() >> 1
-        face = face_from_speech(
-            wave,
-            motion.fps,
-            motion.n_frames,
-            method=method,
-            transcript=text,
-            seed=drawn,
-        )
+        face = face_from_speech(wave, motion.fps, motion.n_frames, method, text, drawn)
         made.append(replace(motion, face=face))
     return made

@@ -64,12 +64,13 @@ def test_a_jaw_opens_downwards_and_a_face_comes_first(speaker):
 
 def test_evaluate_compares_mouths_where_both_have_one(speaker, gesture, tmp_path):
     """The recording has a jaw, one model a face at another rate, and another model neither."""
-    speaker.save(tmp_path / "recordings" / "a.npz")
     body = gesture(4.0, 50.0)
     late = np.sin(2 * np.pi * (np.arange(200) / 50 - 0.12))[:, None]
     face = FaceTrack(("jawOpen",), 0.5 + 0.4 * late, "rules")
-    replace(body, face=face).save(tmp_path / "rules" / "a.npz")
-    body.save(tmp_path / "none" / "a.npz")
+    made = {"recordings": speaker, "rules": replace(body, face=face), "none": body}
+    for folder, motion in made.items():
+        for name in ("a.npz", "b.npz"):
+            motion.save(tmp_path / folder / name)
     models = {name: tmp_path / name for name in ("rules", "none")}
     rules, none = evaluate(models, tmp_path / "recordings").models
     assert rules.metrics["mouth"].interval.value == pytest.approx(0.729, abs=0.02)
