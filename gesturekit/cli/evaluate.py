@@ -50,7 +50,7 @@ _USED_BY_SANITY = ("sanity", "audio", "html", "json", *_VARIANTS, "seed", "worke
 def _choice(flag: str, *names: str, help: str) -> Callable[..., Any]:
     """Add an option with one of some values, of which the first is the default."""
     kind = click.Choice(names)
-    return click.option(flag, type=kind, default=names[0], show_default=True, help=help)
+    return click.option(flag, type=kind, default=names[0], help=help)
 
 
 @click.command(

@@ -426,7 +426,7 @@ def speech_features(
     if seconds is None:
         wanted = "seconds" if conditioner is None else "speech, or seconds for idle motion"
         raise ModelError(f"nothing to generate from: give {wanted}")
-    if isinstance(seconds, str) or not 0.5 <= seconds * fps <= _LONGEST_SECONDS * fps:
+    if isinstance(seconds, str) or not 0.5 / fps <= seconds <= _LONGEST_SECONDS:
         ends = f"{1 / fps:g} s (a frame) to {_LONGEST_SECONDS:g} s (a day)"
         raise ModelError(f"seconds={seconds!r}: give {ends}")
     n_frames = int(np.floor(seconds * fps + 0.5))

@@ -151,6 +151,23 @@ def test_a_folder_with_code_of_its_own_is_refused(hubert):
     assert not proof.exists()
 
 
+def test_sizes_that_no_encoder_has_are_refused_and_numbers_of_tokens_are_no_sizes(hubert):
+    path = hubert / "config.json"
+    known = json.loads(path.read_text())
+    for name, value, most in (
+        ("num_hidden_layers", 257, 256),
+        ("some_size", 65_537, 65_536),
+        ("some_size", -65_537, 65_536),
+        ("some_sizes", [8, 65_537.0], 65_536),
+    ):
+        path.write_text(json.dumps(known | {name: value}))
+        with pytest.raises(af.WeightsError, match=rf"(?=.*{name})(?=.*65537|.*257).*\b{most}$"):
+            af.HuggingFace(hubert)
+    fine = {"vocab_size": 1 << 20, "pad_token_id": 1 << 20, "some_sizes": [65_536, "x"]}
+    path.write_text(json.dumps(known | fine))
+    assert af.HuggingFace(hubert).weights.model == "hubert"
+
+
 def test_the_same_weights_in_other_files_have_the_same_fingerprint(hubert):
     print_of = af.HuggingFace(hubert).fingerprint
     tensors = load_file(hubert / "model.safetensors")

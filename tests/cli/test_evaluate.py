@@ -87,6 +87,13 @@ def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp
         evaluate(*given).fails(2, *says)
 
 
+def test_the_help_shows_which_definition_is_the_default(gesturekit):
+    said = " ".join(gesturekit("evaluate", "--help-all").ok().out.split())
+    defaults = {"variant": "ganimator", "bas": "seconds", "kinetic": "corrected"}
+    for option, default in defaults.items():
+        assert re.search(rf"--{option} \[[^]]*\] [^[]*\[default: {default}\]", said), option
+
+
 def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
     made = tmp_path / "made"
     made.mkdir()
@@ -106,6 +113,7 @@ def test_clips_that_are_left_out_make_it_exit_1(gesturekit, folders, tmp_path):
         (["ours", "recordings", "--baseline", "retrival"], "retrieval"),
         (["ours", "recordings", "--baseline", "retrieval"], "--corpus"),
         (["ours", "recordings", "--out", "report.pdf"], ".html"),
+        (["ours", "recordings", "--kinetic", "both"], "'corrected', 'released'"),
         (["ours", "recordings", "--out", "ours/clip0.npz/report.html"], "clip0.npz/report.html"),
         (["ours", "recordings", "--audio", "ours"], "ours"),
         (["demo", "recordings"], "gesturekit render"),

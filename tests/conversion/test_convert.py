@@ -152,6 +152,7 @@ def test_invalid_requests_are_refused_before_anything_is_written(take, gesture, 
         (tmp_path / "empty", tmp_path / "x", {"formats": ["bvh"]}, "empty"),
         ([take, namesake], tmp_path / "x", {"formats": ["npz"]}, r"take\.bvh & take\.npz"),
         (take, tmp_path / "x.npz", {"write": {"unit": "m"}}, "--unit & bvh"),
+        (namesake, tmp_path / "x.bvh", {"read": {"unit": "m"}}, r"--in-unit & bvh & only \.npz"),
         (take, tmp_path / "x.obj", {}, "--body-model"),
         (take, tmp_path / "x.npz", {"body_model": "smpl.npz"}, "--body-model"),
     ):

@@ -212,11 +212,13 @@ def test_speech_or_seconds_are_asked_for_and_not_both(conditioner):
         ((conditioner, None, None), "(?=.*speech).*seconds"),
         ((None, None, "2"), "seconds='2'"),
         ((None, None, np.nan), "seconds=nan"),
-        ((conditioner, None, 0), "(?=.*seconds=0).*0.04 s"),
-        ((None, None, 86_401), "(?=.*seconds=86401).*86400"),
+        ((conditioner, None, 0.0199), "(?=.*seconds=0.0199).*0.04 s"),
+        ((None, None, 86_400.1), "(?=.*seconds=86400.1).*86400 s"),
     ):
         with pytest.raises(ModelError, match=says):
             speech_features(*given, fps=25.0)
+    assert speech_features(None, None, 86_400, 25.0).shape == (2_160_000, 0)
+    assert speech_features(None, None, 0.02, 25.0).shape == (1, 0), "half a frame is one"
     silent = speech_features(conditioner, None, 0.42, 25.0)
     assert np.array_equal(silent, conditioner.silence(11))
     assert np.array_equal(speech_features(conditioner, wave, None, 25.0), conditioner(wave, 25))

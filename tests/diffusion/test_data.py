@@ -170,6 +170,7 @@ def test_a_run_goes_on_from_a_model_with_its_rig_and_normalisation(make_config, 
     config = make_config(start_from=str(model), training={"updates": 1, "learning_rate": 1e-9})
     data = load_training_data(config)
     start = DiffusionModel.load(model)
+    assert start.droppable == ("all",), "unpaired motion has no condition"
     assert torch.equal(data.normaliser.mean, start.normaliser.mean)
     assert np.array_equal(data.conditions.conditioner.centre, start.conditions.conditioner.centre)
     after = DiffusionModel.load(train(config)).network.state_dict()

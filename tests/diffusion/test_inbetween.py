@@ -146,5 +146,5 @@ def test_clips_that_do_not_fit_are_errors(model, untrained, clips):
         model.generate(keep=clips, seconds=5.0, **FAST)
     with pytest.raises(ModelError, match="like.*keep"):
         model.generate(keep=clips, like=clips[0.5], **FAST)
-    with pytest.raises(ModelError, match="follows a path"):
+    with pytest.raises(ModelError, match="keep: .*follows a path"):
         untrained(path=True).generate(keep=clips, **FAST)

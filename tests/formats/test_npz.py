@@ -231,6 +231,15 @@ def test_amass_files_that_are_broken(tmp_path, change, says):
         read_npz(path)
 
 
+def test_the_keys_of_another_npz_are_listed(tmp_path):
+    path = tmp_path / "a.npz"
+    keys = {"é" + "x" * 50: 0, **{f"k{i}": 0 for i in range(8)}}
+    for arrays, held in ((keys, rf"\\xe9{'x' * 36}, k0.*, k6 and 1 more"), ({}, "none")):
+        np.savez(path, **arrays)
+        with pytest.raises(FormatError, match=f"{path}: no key 'poses'.* has {held}$"):
+            read_npz(path)
+
+
 def test_files_that_are_no_npz(tmp_path):
     path = tmp_path / "a.npz"
     write_npz(smpl_motion(24), path)

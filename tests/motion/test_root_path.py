@@ -43,6 +43,19 @@ def test_deltas_match_the_movement_of_the_body():
     assert aside.deltas() == pytest.approx(np.tile([0.0, 0.0, 0.1], (2, 1)))
 
 
+@pytest.mark.parametrize(
+    ("turn_first", "forward", "lateral"), [(True, 1.0, 0.0), (False, 0.5**0.5, 0.5**0.5)]
+)
+def test_a_step_is_seen_after_the_turn_or_half_way_through_it(turn_first, forward, lateral):
+    """A quarter turn to the left, from +Z to +X, and a metre to +X; halfway its left is +X, -Z."""
+    path = RootPath(np.array([[2.0, 3.0], [3.0, 3.0]]), np.array([0.0, np.pi / 2]), 30.0)
+    deltas = path.deltas(turn_first=turn_first)
+    assert deltas[1] == pytest.approx([np.pi / 2, forward, lateral], abs=1e-12)
+    again = RootPath.from_deltas(deltas, 30.0, turn_first=turn_first)
+    assert again.positions == pytest.approx(np.array([[0.0, 0.0], [1.0, 0.0]]), abs=1e-12)
+    assert again.headings == pytest.approx([0.0, np.pi / 2])
+
+
 @pytest.mark.parametrize("fps", [24.0, 60.0, 100.0])
 def test_another_frame_rate_is_the_same_path_at_the_same_times(fps):
     path = circle()

@@ -60,7 +60,9 @@ def test_a_factor_between_levels(lines, tmp_path):
         for sequence in model.noise.sequences.values()
     }
     assert model.generate(seconds=2.0, levels=1).fps == pytest.approx(model.fps / 8, rel=0.1)
-    for factor, levels in ((1.0, 4), (4.5, 4), (4.0, 20)):
+    for factor, levels in ((1.1, 4), (4.0, 14)):  # 4^13 is 67 million, 4^14 over 100 million
+        NetworkConfig(levels=levels, factor=factor)
+    for factor, levels in ((1.09, 4), (4.5, 4), (4.0, 15)):
         with pytest.raises(ConfigError, match=f"{factor:g}"):
             NetworkConfig(levels=levels, factor=factor)
 

@@ -1,5 +1,6 @@
 """The pyramid's networks: what sees what, and what speech may touch."""
 
+import math
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ import yaml
 
 import gesturekit as gk
 from audio_features import level_lengths
-from gesturekit.errors import ModelError
+from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
@@ -19,6 +20,7 @@ from gesturekit.multires.layers import (
     SkeletonConv1d,
     block_neighbours,
     modulated_blocks,
+    n_weights,
     reflect,
     resample,
     resample_part,
@@ -32,6 +34,18 @@ CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
 @pytest.fixture(scope="module")
 def representation(gesture) -> MultiresRepresentation:
     return MultiresRepresentation.fit([gesture(2.0)])
+
+
+def test_a_dense_kernel_that_memory_would_not_hold_is_refused(representation):
+    """2^27 weights of 5 frames between blocks of as many channels each."""
+    blocks = len(representation.block_sizes)
+    most = math.isqrt((1 << 27) // 5) // blocks
+    config = NetworkConfig(channels=(most, most))
+    assert n_weights(representation, config, 0) > 1 << 24
+    with pytest.raises(
+        ConfigError, match=rf"channels: \[{most + 1}, {most + 1}\].* {blocks} blocks"
+    ):
+        n_weights(representation, replace(config, channels=(most + 1, most + 1)), 0)
 
 
 @pytest.mark.parametrize("exact", [torch.float32, torch.float64])
