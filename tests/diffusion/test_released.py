@@ -259,6 +259,11 @@ def test_other_files_and_wrong_lists(gesturekit, tmp_path, lists):
     (tmp_path / "styles.txt").write_text("\n".join(STYLES[1:]))
     gesturekit("convert-checkpoint", path, *lists).fails(2, "8 styles; 7 names")
     state = torch.load(path, weights_only=False)
+    (tmp_path / "styles.txt").write_text("\n".join(STYLES))
+    state["state_dict"]["diffusion_model.more.weight"] = torch.ones(1)
+    torch.save(state, path)
+    gesturekit("convert-checkpoint", path, *lists).fails(2, "unknown tensors, such as more.weight")
+    del state["state_dict"]["diffusion_model.more.weight"]
     scaler = state["hyper_parameters"]["Data"]["scalers"]["out_scaler"]
     for values, wrong, right in ((scaler.scale_, 0.0, 1.0), (scaler.mean_, np.nan, 0.0)):
         values[3] = wrong
@@ -266,7 +271,6 @@ def test_other_files_and_wrong_lists(gesturekit, tmp_path, lists):
         gesturekit("convert-checkpoint", path, *lists).fails(2, "finite numbers, scale above 0")
         values[3] = right
     network = state["hyper_parameters"]["Diffusion"]["args"]["tisa"]
-    (tmp_path / "styles.txt").write_text("\n".join(STYLES))
     for name, value, says in (("use_preln", True, "use_preln is True"), ("seq_len", 120, "slopes")):
         own = network | {name: value}
         state["hyper_parameters"]["Diffusion"]["args"]["tisa"] = own
