@@ -73,7 +73,7 @@ def test_ratings_of_a_study_are_compared_with_the_metrics(evaluate, folders, tmp
     given = ("--compare", folders / "baseline", "--baseline", "mean_pose", "--study", ratings)
     done = evaluate(*given, "--json", tmp_path / "r.json").ok()
     assert "other_lab" in done.err
-    for fact in ("5 raters", "4 clips", "80 ratings"):
+    for fact in ("5 raters", "4 clips", "80 ratings", "on human-like", "4 systems", "too few"):
         assert fact in done.out
     (question,) = json.loads((tmp_path / "r.json").read_text())["agreement"]["questions"]
     # The mean of 60, 30, 70 and 4 is 41.

@@ -53,8 +53,9 @@ def measured(
         for k, motion in enumerate(motions):
             motion.save(path := folder / f"{speaker}{k}.npz")
             take = takes[k] if takes else path.stem
+            split = "test" if speaker == "a" and k < len(made) else "train"  # all splits count
             items.append(Item(id=path.stem, audio=None, motion=path, duration=motion.duration,
-                              speaker=speaker, take=take, split="test"))  # fmt: skip
+                              speaker=speaker, take=take, split=split))  # fmt: skip
     Manifest(items).save(folder / "corpus.jsonl")
     for k, motion in enumerate(made):
         motion.save(folder / "made" / f"a{k}.npz")

@@ -79,6 +79,8 @@ def test_held_out_recordings_are_spoiled_and_judged_beside_training(tmp_path, ge
     assert "3 s" in left_out["short"] and done.reference == tmp_path
     (frozen,) = (model for model in bad if model.label == "frozen")
     assert frozen.metrics["near_still"].interval.value == 100.0
+    asked = noticed_by(done)
+    assert set(asked["frozen"]) <= {"in_time", "likeness", "novelty"} and asked["frozen"]
     lines = "\n".join(table_lines(done))
     assert all(name in lines for name in ALL) and f"of {len(ALL)}" in conclusion(done)
 
