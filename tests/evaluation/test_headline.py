@@ -232,8 +232,8 @@ def of(**values: float | tuple[float, float]) -> dict[str, MetricResult]:
         ({"joint_limits": (71.0, 2.0)}, "71 %"),
         ({"joint_limits": (30.0, 2.0), "one_nn": (1.0, 0.7), "within_reach": (0.0, 20.0)}, "30 %"),
         ({"jerk_genea": (200.0, 20.0)}, "10 times"),
-        ({"feet_above_floor": (162.0, 11.0)}, "162 mm"),
-        ({"bone_length_change": (9.0, 3.0)}, "9 %"),
+        ({"feet_above_floor": (173.0, 11.0)}, "173 mm"),
+        ({"bone_length_change": (12.0, 3.0)}, "12 %"),
     ],
 )
 def test_a_broken_body_is_named_first_and_not_praised(metrics, fact):
@@ -253,7 +253,7 @@ def test_a_broken_body_is_named_first_and_not_praised(metrics, fact):
     # Another speaker on this rig, and one who does other things within the same range.
     for beyond, reached in ((30.0, 9.0), (12.0, 0.0)):
         sound = {"joint_limits": (beyond, 2.0), "one_nn": (1.0, 0.7), "jerk_genea": (60.0, 20.0)}
-        sound |= {"feet_above_floor": (160.0, 11.0), "bone_length_change": (9.0, 5.0)}
+        sound |= {"feet_above_floor": (171.0, 11.0), "bone_length_change": (12.0, 4.0)}
         assert "broken" not in verdict(of(**praised, **sound, within_reach=(reached, 20.0)))
 
 

@@ -295,7 +295,7 @@ def test_the_verdict_of_motion_that_is_frozen_always_or_half_of_the_time(
 ):
     still = judged(reaching(np.zeros((400, 3))), talker(0, 16.0), tmp_path / "still").verdict
     assert "move" in still and "reach" not in still
-    half = np.where(np.arange(400) < 200, 1.0, 0.0)[:, None] * wandering(400, 1)
+    half = np.where(np.arange(400) < 200, 1.0, 0.0)[:, None] * wandering(400, 1) + [0.3, 0.0, 0.0]
     frozen = judged(reaching(half, half), talker(0, 16.0), tmp_path / "frozen").verdict
     assert "reach" in frozen.lower() and re.search("frozen.*(49|50) %", frozen)
 

@@ -110,6 +110,12 @@ def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation
         assert ("↑" in "".join(row)) == (name in ("Sync", "Coverage")), name
 
 
+def test_samples_of_one_recording_are_averaged_in_a_row_of_it(evaluation, page_of):
+    _, *rows = rows_of(page_of(evaluation), "Recording by recording")
+    assert [row[:2] for row in rows] == [["r0", "a&b"], ["r1", "a&b"]]
+    assert "60.0" in rows[0][2] and all(v in rows[1][2] for v in ("40.0", "30.0", "50.0"))
+
+
 def test_what_is_left_out_is_named(evaluation, page_of):
     rows = [" ".join(row) for row in rows_of(page_of(evaluation), "Left out")]
     lines = list(note_lines(evaluation))

@@ -127,7 +127,7 @@ def defects(metrics: Results) -> str:
         ("feet_above_floor", thresholds.FLOATING, "the feet are {:.0f} mm above the floor"),
         ("bone_length_change", thresholds.STRETCHED, "bones change their length by {:.0f} %"),
     ):
-        if (value(key) or 0.0) - own(key) > limit:
+        if (value(key) or 0.0) - 2.0 * own(key) > limit:
             found.append(text.format(value(key)))
             what = "broken"
     shaken = _ratio(metrics, "jerk_genea")

@@ -20,8 +20,8 @@ FAR_BEYOND_LIMITS, COVERED, SEPARABLE = 20.0, 0.05, 0.98
 """The same where a motion also covers less than this share of the recordings' own "within reach",
 and its 1-NN accuracy is at least this: broken, or of another speaker."""
 FLOATING, STRETCHED = 150.0, 5.0
-"""Millimetres that the feet float, and percentage by which a bone changes its length, more than in
-the recordings, from which a body is broken. Takes of SHOW stand up to 8 cm apart in height."""
+"""Millimetres that the feet float, and percentage by which a bone changes its length, above twice
+those of the recordings, from which a body is broken. Takes of SHOW stand up to 8 cm apart."""
 SHAKEN = 5.0
 """Ratio of unfiltered jerk to the recordings' from which a body shakes."""
 
