@@ -61,7 +61,9 @@ def frames() -> list[Image.Image]:
     """Return pictures of the demo model's motion to the bundled speech, FPS a second."""
     model, wave = gk.load("demo"), af.Wave.load(bundled_speech())
     # With seed 0 the motion of `gesturekit demo`, for which the name of the file counts.
-    made = {seed: model.generate(wave, seed=seed, item=bundled_speech().stem) for seed in SEEDS}
+    text = bundled_speech().with_suffix(".txt").read_text("utf-8")
+    how = {"item": bundled_speech().stem, "face": "phones", "transcript": text}
+    made = {seed: model.generate(wave, seed=seed, **how) for seed in SEEDS}
     motions = {seed: motion[: round(SECONDS * motion.fps)] for seed, motion in made.items()}
     panel = WIDTH // len(SEEDS)
     scenes = [
