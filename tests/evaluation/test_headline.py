@@ -294,6 +294,19 @@ def test_the_verdict_names_what_differs_from_the_recordings(metrics, said):
     assert said or not words
 
 
+def test_the_verdict_says_whether_the_motion_is_like_the_speakers():
+    for value, said in (
+        (0.9, "speed, moves like the speaker."),
+        (0.65, "moves only somewhat like the speaker."),
+        (0.3, "does not move like the speaker."),
+    ):
+        like = likeness_result([of_group(value)], {}, 3)
+        metrics = {**of(hand_q90=(1.0, 1.0)), "likeness": like}
+        assert verdict(metrics).endswith(said)
+    unknown = likeness_result([replace(of_group(0.9), own=0.1)], {}, 3)
+    assert "like" not in verdict({**metrics, "likeness": unknown})
+
+
 def test_models_with_one_verdict_are_told_apart_where_intervals_do_not_overlap():
     def model(label: str, verdict: str, **speeds: tuple[float, float]) -> ModelResult:
         metrics = {
