@@ -268,7 +268,7 @@ class Converter(Processor):
         self.read, self.write = {**conversion.read, **model}, {**conversion.write, **model}
         self.out, self.existing, self.parts = out, conversion.existing, conversion.parts
         self.changes, self.dry_run = conversion.changes, conversion.dry_run
-        self.face = None if conversion.face is None else Path(conversion.face)
+        self.face = conversion._face
         changes = {f.name: getattr(self.changes, f.name) for f in dataclasses.fields(Changes)}
         read = {f"in-{name}": value for name, value in self.read.items()}
         self.settings = json_of({**changes, **read, "parts": dict(self.parts)})
@@ -286,8 +286,7 @@ class Converter(Processor):
     def input_of(self, task: Task, digest: str | None = None) -> dict[str, Any]:
         """Return what the results of a task depend on beside `settings`; see `Processor`."""
         face = self._face_of(task)
-        more = {} if face is None else {"face": path_digest(face)}
-        return super().input_of(task, digest) | more
+        return super().input_of(task, digest) | ({"face": path_digest(face)} if face else {})
 
     def make(self, result: Result) -> None:
         """Read, change and write a motion.
@@ -381,6 +380,7 @@ class Conversion:
         paths = [sources] if isinstance(sources, str | os.PathLike) else sources
         self._sources = [Path(path) for path in paths]
         self._out = out = Path(self.out)
+        self._face = None if self.face is None else Path(self.face)
         if self.body_model is None:
             self.formats = _without_mesh(self.formats, out)
         self._is_one = is_file_name(out, self._sources, self.formats)
@@ -424,7 +424,7 @@ class Conversion:
 
     def _find(self) -> list[Task]:
         tasks = find_tasks(self._sources, self._out, self.formats)
-        face = None if self.face is None else Path(self.face)
+        face = self._face
         if face is not None and not face.is_dir() and not (face.exists() and len(tasks) == 1):
             why = f"one file for {len(tasks)} motions" if face.exists() else "no such file"
             need = "give the CSV of a single motion, or a folder with one for each"
@@ -459,14 +459,11 @@ def _without_mesh(formats: Sequence[str], out: Path) -> Sequence[str]:
 
 def _warn_of_losses(motion: Motion, target: Path) -> None:
     """Warn of data of a motion that the format of a target cannot hold."""
-    suffix, lost = target.suffix.lower(), list[str]()
-    if motion.face is not None:
-        if suffix == ".bvh":
-            lost.append("face")
-        elif suffix in (".vrma", ".fbx") and is_smplx(motion.face):
-            lost.append("SMPL-X face coefficients")  # which are not in [0, 1]
-    if motion.skeleton.body_shape.betas:
-        lost.append("body shape (betas)")
+    suffix, face = target.suffix.lower(), motion.face
+    lost = ["face"] if face and suffix == ".bvh" else []
+    if face and is_smplx(face) and suffix in (".vrma", ".fbx"):
+        lost.append("SMPL-X face coefficients")  # which are not in [0, 1]
+    lost += ["body shape (betas)"] if motion.skeleton.body_shape.betas else []
     if lost and suffix in _WITHOUT_SHAPE:
         text = f"{_WITHOUT_SHAPE[suffix]} holds no {' and no '.join(lost)}; npz does"
         warnings.warn(f"{target}: {text}", stacklevel=2)

@@ -253,14 +253,20 @@ class ShortTimeSpectrum:
 
 def short_time_power(samples: np.ndarray, n_frames: int) -> np.ndarray:
     """Return the power (T, 257) float32 of 16 kHz samples at the level of active speech."""
+    power = np.empty((n_frames, N_FFT // 2 + 1), dtype=np.float32)
+    for first, block in power_blocks(samples, n_frames):
+        power[first : first + len(block)] = block
+    return power
+
+
+def power_blocks(samples: np.ndarray, n_frames: int) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield (first frame, (m, 257) float32) blocks of what `short_time_power` returns."""
     from scipy.fft import rfft
 
     window = hann_window()
-    power = np.empty((n_frames, N_FFT // 2 + 1), dtype=np.float32)
     for first, frames in centred_frames(samples, WINDOW, n_frames):
         spectrum = rfft(frames * window, N_FFT)
-        power[first : first + len(frames)] = spectrum.real**2 + spectrum.imag**2
-    return power
+        yield first, spectrum.real**2 + spectrum.imag**2
 
 
 def hann_window() -> np.ndarray:

@@ -40,12 +40,10 @@ gesturekit live --measure --json latency.json
 gesturekit live --fit corpus.jsonl --model runs/mine/model   # a model without live predictions
 """
 _CONTROLS = ("style", "speaker", "liveliness")
+_PAGE = ("host", "port", "names", "token_file", "body", "framing")
 GROUPS = {
     "What to generate": ("model", "source", "rate", "look_ahead", "seed", *_CONTROLS, "weights"),
-    "Output": (
-        *("sinks", "existing", "host", "port", "names", "token_file"),
-        *("body", "framing", "face"),
-    ),
+    "Output": ("sinks", "existing", *_PAGE, "face"),
 }
 _RECORD = "record:"
 _URGENT = 3

@@ -28,8 +28,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.files import load_state, state_values
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.faces import with_faces
-from gesturekit.training.model_folder import ModelParts, TrainedModel
+from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces
 from gesturekit.training.seeds import checked_item, checked_seed
 
 MAX_FRAMES = 9000

@@ -13,11 +13,11 @@ import math
 import numpy as np
 
 from audio_features import Wave, speech_only
-from audio_features.acoustic.analysis import HOP, N_FFT, SAMPLE_RATE, short_time_power
+from audio_features.acoustic.analysis import N_FFT, SAMPLE_RATE, power_blocks
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from gesturekit.errors import MotionError
-from gesturekit.face.channels import NAMES, SHAPES, channels
 from gesturekit.face.eyes import RATE, Eyes
+from gesturekit.face.visemes import NAMES, SHAPES, channels
 
 _LOW, _OPEN, _HISS = ((80, 500), (700, 3000), (4000, 8000))
 """Bands, Hz."""
@@ -29,8 +29,6 @@ _COMPRESSION = 0.35
 """Exponent of power; 0.5 is amplitude."""
 _SMOOTH = np.hanning(21)[1:-1] / np.hanning(21).sum()
 _AHEAD = len(_SMOOTH) // 2
-_PIECE, _CONTEXT = 6000, 2
-"""Frames of 10 ms of a file that are analysed at a time, and more at both ends."""
 _STEP, _REMEMBERED = 6, 1000
 """Frames of a stream that are analysed at a time, and whose power is known."""
 _EXPECTED = np.geomspace(0.0005, 1.5, 200)
@@ -43,13 +41,8 @@ def mouth_of_sound(wave: Wave) -> tuple[np.ndarray, np.ndarray]:
     Args:
         wave: 16 kHz, at the standard level.
     """
-    samples, n = speech_only(wave).samples, wave.n_frames(RATE)
-    bands = []
-    for first in range(0, n, _PIECE):
-        start, count = max(first - _CONTEXT, 0), min(_PIECE, n - first)
-        part = samples[start * HOP : (first + count + _CONTEXT) * HOP]
-        bands.append(_bands(short_time_power(part, first - start + count)[first - start :]))
-    powers = np.concatenate(bands)
+    blocks = power_blocks(speech_only(wave).samples, wave.n_frames(RATE))
+    powers = np.concatenate([_bands(power) for _, power in blocks])
     return _mouth(powers, powers[:, 1])
 
 

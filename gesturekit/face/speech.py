@@ -9,11 +9,10 @@ import numpy as np
 from audio_features import Wave
 from audio_features.acoustic.analysis import SAMPLE_RATE
 from gesturekit.errors import MotionError
-from gesturekit.face.channels import NAMES, channels
 from gesturekit.face.energy import energy_mouth, mouth_of_sound, sampled
 from gesturekit.face.eyes import RATE, Eyes
 from gesturekit.face.phones import phones_of
-from gesturekit.face.visemes import mouth_of_phones
+from gesturekit.face.visemes import NAMES, channels, mouth_of_phones
 from gesturekit.motion.face import FaceTrack
 
 METHODS = ("energy", "phones")

@@ -22,7 +22,7 @@ from audio_features.archive import Archive
 from gesturekit.errors import FormatError
 from gesturekit.formats.conventions import UP_TO_Y
 from gesturekit.formats.smpl import N_JOINTS, model_pelvis, smpl_skeleton
-from gesturekit.motion.face import MAX_CHANNELS, is_smplx, smplx_face
+from gesturekit.motion.face import MAX_CHANNELS, FaceTrack, is_smplx, smplx_face
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -74,7 +74,7 @@ def from_amass(archive: Archive, up: str) -> Motion:
     fingers = poses[:, _FINGERS.get(n_joints, poses.shape[1]) :]
     if not (fingers != fingers[:1]).any():
         motion.info["unread_hands"] = list(filter(_OF_HANDS.match, archive))
-    return with_expressions(motion, archive)
+    return replace(motion, face=read_face(archive, motion.n_frames))
 
 
 def to_amass(motion: Motion, up: str) -> dict[str, Any]:
@@ -154,16 +154,12 @@ def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> B
     )
 
 
-def with_expressions(motion: Motion, archive: Archive) -> Motion:
-    """Return the motion with the file's expressions, unless it has none or they are all zero."""
-    values = read_face(archive, "expressions", motion.n_frames)
-    return (
-        motion if values is None or not values.any() else replace(motion, face=smplx_face(values))
-    )
+def read_face(archive: Archive, n_frames: int) -> FaceTrack | None:
+    """Return the face in native keys or `expressions`; None without, or if these are all zero.
 
-
-def read_face(archive: Archive, key: str, n_frames: int) -> np.ndarray | None:
-    """Return face values (T, E) under a key; None without, or with a warning for another shape."""
+    Values of another shape are left out with a warning.
+    """
+    key = "face_values" if "face_values" in archive else "expressions"
     if key not in archive:
         return None
     values = archive.numbers(key)
@@ -171,7 +167,9 @@ def read_face(archive: Archive, key: str, n_frames: int) -> np.ndarray | None:
         text = f"shape {values.shape} for {n_frames} frames; they are left out"
         warnings.warn(f"{archive.path}: {key} have {text}", stacklevel=2)
         return None
-    return values
+    if key == "expressions":
+        return smplx_face(values) if values.any() else None
+    return FaceTrack(tuple(archive.texts("face_names", MAX_CHANNELS)), values)
 
 
 def read_number(archive: Archive, key: str) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from audio_features.archive import read_bytes
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError
-from gesturekit.motion.face import ARKIT, FaceTrack
+from gesturekit.motion.face import ARKIT, FaceTrack, values_of
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import FARTHEST
 from gesturekit.wording import listed
@@ -69,9 +69,8 @@ def read_live_link(path: str | os.PathLike[str], fps: float, n_frames: int) -> F
     rate = next(rate for rate in _RATES if rate > frames.max())
     times = whole - whole[0] + frames / (rate if np.ptp(whole) else max(rate, _RATE))
     if len(back := np.flatnonzero(np.diff(times) < 0)):
-        raise FormatError(
-            f"{path}: the timecode of row {back[0] + 2} is before that of row {back[0] + 1}"
-        )
+        text = f"the timecode of row {back[0] + 2} is before that of row {back[0] + 1}"
+        raise FormatError(f"{path}: {text}")
     times -= times[0]
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / _RATE
     lasts, needed = times[-1] + step, n_frames / fps
@@ -113,9 +112,8 @@ def _rows(path: Path) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
 def _numbers(where: str, code: str, *cells: str) -> np.ndarray:
     """Return the seconds and the frames of a timecode, and the values of a row."""
     if not (match := _TIMECODE.fullmatch(code.strip())):
-        raise FormatError(
-            f"{where}: Timecode is {code[:40]!r}; expected HH:MM:SS:FF.SSS, FF below 120"
-        )
+        need = "expected HH:MM:SS:FF.SSS, FF below 120"
+        raise FormatError(f"{where}: Timecode is {code[:40]!r}; {need}")
     hours, minutes, seconds = (int(match[k]) for k in (1, 2, 3))
     try:
         numbers = np.array([3600 * hours + 60 * minutes + seconds, match[4], *cells], float)
@@ -145,15 +143,13 @@ def write_live_link(motion: Motion, path: str | os.PathLike[str]) -> None:
         raise FormatError(f"{path}: the motion has {what}; csv holds nothing else")
     if others := sorted(set(face.names).difference(ARKIT)):
         warnings.warn(f"{path}: not ARKit's, and left out: {listed(others)}", stacklevel=2)
-    values, zero = dict(zip(map(str.lower, face.names), face.values.T)), np.zeros(len(face))
     columns = _COLUMNS.split()
-    table = [values.get(name.lower(), zero) for name in columns]
+    table = values_of(face, [name[0].lower() + name[1:] for name in columns])
     with atomic_write(path) as temporary, temporary.open("w", encoding="ascii", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["Timecode", "BlendshapeCount", *columns])
-        for time, row in zip(motion.times, np.transpose(table)):
+        for time, row in zip(motion.times, table):
             seconds, part = divmod(round(1000 * _RATE * time), 1000 * _RATE)
-            minutes, seconds = divmod(seconds, 60)
-            hours, minutes = divmod(minutes, 60)
-            code = f"{hours:02d}:{minutes:02d}:{seconds:02d}:{part / 1000:06.3f}"
+            clock = f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+            code = f"{clock}:{part / 1000:06.3f}"
             writer.writerow([code, len(columns), *(f"{value:.6f}" for value in row)])

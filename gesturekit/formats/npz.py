@@ -38,12 +38,11 @@ from gesturekit.formats.amass import (
     read_number,
     read_shape,
     to_amass,
-    with_expressions,
 )
 from gesturekit.formats.conventions import UP_TO_Y, check_up
 from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model import BodyModel
-from gesturekit.motion.face import MAX_CHANNELS, FaceTrack, is_smplx
+from gesturekit.motion.face import FaceTrack, is_smplx
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 
@@ -236,19 +235,10 @@ def _from_native(archive: Archive) -> Motion:
     if pelvis is not None:
         (up,) = archive.texts("body_up") or ["y"]
         motion.info["up"] = up if up in UP_TO_Y else "y"
-    return _with_face(motion, archive)
-
-
-def _with_face(motion: Motion, archive: Archive) -> Motion:
-    """Return the motion with the file's face."""
-    values = read_face(archive, "face_values", motion.n_frames)
-    if values is not None:
-        names = archive.texts("face_names", MAX_CHANNELS)
-        motion = replace(motion, face=FaceTrack(tuple(names), values))
-    motion = with_expressions(motion, archive)
-    if motion.face is None or "face" not in archive:
-        return motion
-    return replace(motion, face=replace(motion.face, origin=archive.texts("face")[0]))
+    face = read_face(archive, motion.n_frames)
+    if face is not None and "face" in archive:
+        face = replace(face, origin=archive.texts("face")[0])
+    return replace(motion, face=face)
 
 
 def _indices(archive: Archive, key: str, lowest: int, stop: int) -> list[int]:

@@ -75,8 +75,7 @@ class Page:
         self._token = token
         drawn = DrawnBody.of(example, body)
         self._fitting = drawn.fitting
-        known = () if drawn.face is None else drawn.skins[0].morphs
-        self._channels = [name for name in known if drawn.face and name in drawn.face.names]
+        self._channels = drawn.face.names if drawn.face else ()
         page = json.loads(player_data(example, sound, body=body, framing=framing))
         page["live"] = _joints(drawn)
         places = {"title": "Live", "motion": script_json(page)}

@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gesturekit.errors import ConfigError
-from gesturekit.live.face import LiveFace
+from gesturekit.face import EnergyFace
 from gesturekit.live.sinks import PORT, Recording, Sink, Step, VmcSender
 from gesturekit.live.sources import (
     FileSource,
@@ -29,6 +29,7 @@ from gesturekit.live.sources import (
 )
 from gesturekit.model import MotionStream
 from gesturekit.motion import Motion
+from gesturekit.motion.face import FaceTrack
 from gesturekit.viewer.human import Fitting, Human
 from gesturekit.wording import counted
 
@@ -118,6 +119,51 @@ class Report:
 
 def _quantile(values: deque[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
+
+
+class LiveFace:
+    """Adds a face by rules to the motion of a stream; a recorded face that is played stays.
+
+    A frame whose face is not final yet gets the newest one: with a `look_ahead` below the delay of
+    `EnergyFace`, the mouth is late by the difference.
+
+    Args:
+        stream: the stream, before its first frame.
+        seed: of blinks and gaze.
+    """
+
+    def __init__(self, stream: MotionStream, seed: int) -> None:
+        self._rate = stream.sample_rate
+        self._rules = EnergyFace(self._rate, stream.fps, seed)
+        self._values = np.zeros((1, len(self._rules.names)))
+        self._next = 1  # row of _values with the next frame
+
+    def shown(self, motion: Motion) -> Motion:
+        """Return a motion with all channels of the face at 1, unless it has one of its own."""
+        return self._faced(motion, np.ones((motion.n_frames, len(self._rules.names))))
+
+    def added(self, samples: np.ndarray, motion: Motion | None) -> Motion | None:
+        """Return a step's motion with its face.
+
+        Args:
+            samples: (N,) of the step; none after the last sound.
+            motion: frames that became final, if any did.
+        """
+        if not len(samples):
+            silence = self._rules.delay + (0 if motion is None else motion.duration)
+            samples = np.zeros(int(silence * self._rate) + 1, np.float32)
+        self._values = np.concatenate([self._values, self._rules.step(samples)])
+        if motion is None:
+            return None
+        last, stop = len(self._values) - 1, self._next + motion.n_frames
+        faced = self._faced(motion, self._values[np.arange(self._next, stop).clip(0, last)])
+        gone = min(stop, last)
+        self._values, self._next = self._values[gone:], stop - gone
+        return faced
+
+    def _faced(self, motion: Motion, values: np.ndarray) -> Motion:
+        face = motion.face or FaceTrack(self._rules.names, values, "rules")
+        return replace(motion, face=face)
 
 
 class _Feed:

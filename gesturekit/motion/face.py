@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,13 +91,16 @@ class FaceTrack:
         A channel named Left or Right takes the values of its counterpart; others are kept, and
         SMPL-X coefficients too, because they have no known sides.
         """
-        swap = {"Left": "Right", "Right": "Left"}
-        columns = list(range(len(self.names)))
-        for i, name in enumerate(self.names):
-            for side, other in swap.items():
-                if side in name and (twin := name.replace(side, other)) in self.names:
-                    columns[i] = self.names.index(twin)
-        return replace(self, values=self.values[:, columns])
+        other = {"Left": "Right", "Right": "Left"}
+        twins = [re.sub("Left|Right", lambda side: other[side[0]], name) for name in self.names]
+        sources = [twin if twin in self.names else name for name, twin in zip(self.names, twins)]
+        return replace(self, values=self.values[:, [self.names.index(name) for name in sources]])
+
+
+def values_of(face: FaceTrack, names: Iterable[str]) -> np.ndarray:
+    """Return the values (T, N) of N channels, 0 for those that a face lacks."""
+    given = dict(zip(face.names, face.values.T))
+    return np.stack([given.get(name, np.zeros(len(face))) for name in names], axis=1)
 
 
 def smplx_names(n_coefficients: int) -> tuple[str, ...]:

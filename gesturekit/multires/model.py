@@ -39,9 +39,8 @@ from gesturekit.state.channels import StateChannels
 from gesturekit.state.files import load_state, state_values
 from gesturekit.state.live import AheadPrediction, live_rows
 from gesturekit.training.config import build, to_dict
-from gesturekit.training.faces import with_faces
 from gesturekit.training.features import conditioner_values, load_conditioner
-from gesturekit.training.model_folder import ModelParts, TrainedModel
+from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces
 from gesturekit.training.seeds import checked_item, checked_seed
 
 _CONVOLUTION = re.compile(r"layers\.\d+\.weight")

@@ -74,12 +74,9 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
 def faces_in_words(results: Iterable[Result]) -> str:
     """Return how many results have faces by rules, and what these were made from; "" for none."""
     files = (next(iter(result.made.values()), {}) for result in results)
-    settings = (file.get("made_with", {}) for file in files)
-    ways = Counter(
-        f"{made_with['face']}{' and a transcript' if made_with.get('transcript') else ''}"
-        for made_with in settings
-        if "face" in made_with
-    )
+    settings = [made for file in files if "face" in (made := file.get("made_with", {}))]
+    end = " and a transcript"
+    ways = Counter(made["face"] + (end if made.get("transcript") else "") for made in settings)
     parts = [f"{counted(count, 'item')} from {way}" for way, count in sorted(ways.items())]
     return f"Faces by rules, not recorded: {', '.join(parts)}" if parts else ""
 

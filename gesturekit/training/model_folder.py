@@ -6,8 +6,8 @@ import hashlib
 import json
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
@@ -24,6 +24,7 @@ from audio_features.extractor import needs_of
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
+from gesturekit.face import face_from_speech
 from gesturekit.model import Controls, Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
@@ -36,6 +37,7 @@ from gesturekit.training.features import conditioner_tensors
 from gesturekit.training.own_rig import on_rig
 from gesturekit.training.run_config import MOST_SMOOTH, Limits
 from gesturekit.training.run_folder import read_rig, unfinished
+from gesturekit.training.seeds import rng_for
 from gesturekit.training.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
 from gesturekit.wording import counted
 
@@ -490,3 +492,35 @@ def load_data(folder: Path, assemble: Callable[[dict[str, Any], dict[str, Tensor
         raise ConfigError(
             f"{folder}: the run's training data cannot be read ({error}); start a new run"
         ) from error
+
+
+def with_faces(
+    motions: Sequence[Motion], wave: af.Wave | None, controls: Controls, seed: int, item: str
+) -> list[Motion]:
+    """Return the samples of one request with faces by rules, unless `face` is off.
+
+    Mouths are alike, as they follow the sound; blinks and eye movements are drawn for each sample.
+
+    Args:
+        motions: the samples 0, 1 ... of equal length, at the frame rate of the result.
+        wave: the speech; None for silence, in which the mouth stays closed.
+        controls: any system's.
+        seed: with `item` and the number of a sample, it decides all random numbers.
+        item: name of the utterance.
+
+    Raises:
+        GestureKitError: the face cannot be made, such as from phones without the extra `face`.
+    """
+    method, text = controls["face"], controls["transcript"]
+    if method == "off":
+        return [*motions]
+    if wave is None:
+        log.warning("face=%r: there is no speech; the mouth stays closed", method)
+        text, n_samples = None, int(16_000 * max(1.0, motions[0].duration))
+        wave = af.Wave(np.zeros(n_samples, np.float32), 16_000)
+    made = []
+    for number, motion in enumerate(motions):
+        drawn = rng_for(seed, item, "sample", number, "face").initial_seed() >> 1
+        face = face_from_speech(wave, motion.fps, motion.n_frames, method, text, drawn)
+        made.append(replace(motion, face=face))
+    return made

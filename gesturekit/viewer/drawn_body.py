@@ -20,7 +20,7 @@ from gesturekit.formats.gltf.vrm import Avatar, read_avatar
 from gesturekit.formats.gltf.writing import animated_avatar, animated_skeleton, vrm_animation
 from gesturekit.formats.smpl import fit_body
 from gesturekit.motion.body_model import BodyModel, Skin, unique_rows
-from gesturekit.motion.face import FaceTrack
+from gesturekit.motion.face import FaceTrack, values_of
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human import COLOURS, Fitting, Human
 
@@ -102,11 +102,8 @@ class DrawnBody:
     def face(self) -> FaceTrack | None:
         """Channels of the motion's face that move the finest skin; None if there are none."""
         face, morphs = self.motion.face, self.skins[0].morphs if self.skins else {}
-        names = tuple(name for name in face.names if name in morphs) if face else ()
-        if not face or not names:
-            return None
-        columns = [face.names.index(name) for name in names]
-        return replace(face, names=names, values=face.values[:, columns])
+        names = tuple(name for name in morphs if face and name in face.names)
+        return replace(face, names=names, values=values_of(face, names)) if face and names else None
 
 
 def drawn_bodies(

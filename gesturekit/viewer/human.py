@@ -83,7 +83,6 @@ class Human:
                 names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents
             }
             skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
-            skins = (replace(skins[0], morphs=_morphs(archive)), *skins[1:])
         return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
 
 
@@ -215,6 +214,7 @@ def _skin(archive: Archive, level: int, joints: np.ndarray) -> Skin:
         weights=archive[f"weights{level}"],
         rest=joints,
         regions=archive[f"regions{level}"],
+        morphs={} if level else _morphs(archive),
     )
 
 

@@ -22,7 +22,7 @@ from audio_features import AudioError, LogMel, Onset, Wave
 from audio_features.sound_file import soundfile_name
 from gesturekit.motion.body_model import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
-from gesturekit.motion.face import FaceTrack
+from gesturekit.motion.face import values_of
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import TOPS, palette_of
 
@@ -45,11 +45,8 @@ def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
         return
     skin = skins[0]
     if skin.regions is None:
-        page["skin"] = {
-            "faces": base64_text(skin.faces.astype("<u4").tobytes()),
-            "joints": base64_text(skin.joints.tobytes()),
-            "weights": base64_text(skin.weights.tobytes()),
-        }
+        mesh = {"faces": skin.faces.astype("<u4"), "joints": skin.joints, "weights": skin.weights}
+        page["skin"] = {name: base64_text(values.tobytes()) for name, values in mesh.items()}
     else:
         page["skin"] = {"levels": [_level(each) for each in skins[:_LEVELS]]}
         faces = [drawn.face.names for drawn in shown if drawn.face]
@@ -67,13 +64,13 @@ def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
         if skin.regions is None:
             figure["skin"]["vertices"] = base64_text(skin.vertices.astype("<f4").tobytes())
         else:
-            colours = (
-                palette_of(TOPS[k % len(TOPS)]).values() if skin.palette is None else skin.palette
-            )
+            top = TOPS[k % len(TOPS)]
+            colours = palette_of(top).values() if skin.palette is None else skin.palette
             palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours]
             figure["skin"] |= {"scale": drawn.scale, "palette": palette}
             if drawn.face:
-                figure["skin"]["face"] = _face(drawn.face, channels)
+                values = np.rint(255 * values_of(drawn.face, channels)).astype(np.uint8)
+                figure["skin"]["face"] = base64_text(zlib.compress(values.tobytes(), 9))
 
 
 def _level(skin: Skin) -> dict[str, Any]:
@@ -105,15 +102,6 @@ def _morph(skin: Skin, channel: str) -> dict[str, Any]:
         "vertices": base64_text(packed(morph.vertices)),
         "offsets": base64_text(packed(np.rint(morph.offsets / step))),
     }
-
-
-def _face(face: FaceTrack, channels: Sequence[str]) -> str:
-    """Encode values of channels, 0 for those that the face lacks, as deflated bytes (T, C)."""
-    values = np.zeros((len(face), len(channels)), np.uint8)
-    for column, name in zip(values.T, channels):
-        if name in face.names:
-            column[:] = np.rint(255 * face.channel(name))
-    return base64_text(zlib.compress(values.tobytes(), 9))
 
 
 def packed(steps: np.ndarray) -> bytes:

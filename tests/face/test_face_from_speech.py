@@ -11,8 +11,7 @@ from sounds import voiced
 import audio_features as af
 from gesturekit.errors import MotionError
 from gesturekit.face import METHODS, EnergyFace, face_from_speech
-from gesturekit.face.channels import SHAPES
-from gesturekit.face.visemes import Phone, mouth_of_phones
+from gesturekit.face.visemes import SHAPES, Phone, mouth_of_phones
 from gesturekit.motion.face import ARKIT, FaceTrack
 
 RATE = 16_000

@@ -52,9 +52,8 @@ def mouth_opening(motion: Motion) -> np.ndarray | None:
 def with_mouth_alone(motion: Motion) -> Motion:
     """Return the motion with the opening of its mouth as the only channel of its face."""
     opening = mouth_opening(motion)
-    if opening is None:
-        return motion if motion.face is None else replace(motion, face=None)
-    return replace(motion, face=FaceTrack((OPENING,), opening[:, None]))
+    face = None if opening is None else FaceTrack((OPENING,), opening[:, None])
+    return replace(motion, face=face)
 
 
 def mouth_agreement(mouth: np.ndarray, recorded_mouth: np.ndarray, fps: float) -> dict[str, float]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.formats.gltf.file import Gltf
-from gesturekit.motion.face import ARKIT, FaceTrack, is_smplx
+from gesturekit.motion.face import ARKIT, FaceTrack, is_smplx, values_of
 
 VMC_NAMES = {
     **{"aa": "A", "ih": "I", "ou": "U", "ee": "E", "oh": "O"},
@@ -47,9 +47,9 @@ def expressions_of(face: FaceTrack) -> dict[str, np.ndarray]:
     if is_smplx(face):
         return {}
     given = dict(zip(face.names, face.values.clip(0, 1).T))
-    zero = np.zeros(len(face))
-    opened, funnel, pucker, left, right = (given.get(name, zero) for name in _OF_MOUTH)
-    opened = np.maximum(opened - given.get("mouthClose", zero), 0)
+    mouth = values_of(face, [*_OF_MOUTH, "mouthClose"]).clip(0, 1)
+    opened, funnel, pucker, left, right, closed = mouth.T
+    opened = np.maximum(opened - closed, 0)
     wide = (left + right) / 2
     others = np.maximum.reduce([wide, funnel, pucker])
     shares = opened * (1 - others), wide * (1 - opened), pucker, wide * opened, funnel

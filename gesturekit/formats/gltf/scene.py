@@ -247,15 +247,11 @@ class _Keys:
             for node, path, sampler in self.of_nodes(entry, nodes)
         }
         extras = self._gltf.object(entry, "extras")
-        rate = extras.get("fps", 0)
-        right = type(rate) in (int, float) and LOWEST_FPS <= rate <= HIGHEST_FPS
-        return Animation(
-            str(entry.get("name", "")),
-            curves,
-            float(rate) if right else None,
-            self.face(entry),
-            "rules" if extras.get("face") == "rules" else "recorded",
-        )
+        fps = extras.get("fps", 0)
+        right = type(fps) in (int, float) and LOWEST_FPS <= fps <= HIGHEST_FPS
+        name, rate = str(entry.get("name", "")), float(fps) if right else None
+        origin = "rules" if extras.get("face") == "rules" else "recorded"
+        return Animation(name, curves, rate, self.face(entry), origin)
 
     def seconds(self, samplers: Iterable[_Sampler]) -> float | None:
         """Return the time of the last key; None without samplers."""
@@ -280,7 +276,7 @@ class _Keys:
                 need = f"expected a name for each, and at most {MAX_CHANNELS} in all"
                 warnings.warn(f"{gltf.path}: {what}; {need}", stacklevel=5)
                 continue
-            curve = self._curve(sampler, path, n_targets if path == "weights" else 1)
+            curve = self._curve(sampler, path, n_targets)
             for k, name in enumerate(names):
                 label = printable(name[:_LONGEST_NAME]).strip() or f"target{k}"
                 values = curve.values[..., k : k + 1]
@@ -289,9 +285,7 @@ class _Keys:
 
     def of_nodes(self, entry: dict[str, Any], nodes: set[int]) -> Iterator[_Sampler]:
         """Yield the channels that move some nodes."""
-        for node, path, sampler in self._channels(entry):
-            if node in nodes and path != "weights":
-                yield node, path, sampler
+        return ((n, p, s) for n, p, s in self._channels(entry) if n in nodes and p != "weights")
 
     def of_face(self, entry: dict[str, Any]) -> Iterator[_Sampler]:
         """Yield the channels of morph targets and expressions."""
@@ -394,11 +388,7 @@ class Nodes:
             raise gltf.error(f"over {_DEEPEST} nodes above one another")
         self._gltf = gltf
         rest = np.array([np.concatenate(self._local(node)) for node in nodes]).reshape(-1, 10)
-        self.rest = {
-            "translation": rest[:, :3],
-            "rotation": rest[:, 3:7],
-            "scale": rest[:, 7:],
-        }
+        self.rest = {"translation": rest[:, :3], "rotation": rest[:, 3:7], "scale": rest[:, 7:]}
 
     def _local(self, node: dict) -> tuple[np.ndarray, ...]:
         gltf = self._gltf
@@ -410,12 +400,9 @@ class Nodes:
                 scale[0] *= -1
             turn = quaternion_from_matrix(linear / np.where(scale == 0, 1.0, scale))
             return matrix[:3, 3], turn, scale
+        place = gltf.numbers(node, "translation", [0.0, 0.0, 0.0])
         turn = normalize_quaternions(gltf.numbers(node, "rotation", [0.0, 0.0, 0.0, 1.0]))
-        return (
-            gltf.numbers(node, "translation", [0.0, 0.0, 0.0]),
-            turn,
-            gltf.numbers(node, "scale", [1.0, 1.0, 1.0]),
-        )
+        return place, turn, gltf.numbers(node, "scale", [1.0, 1.0, 1.0])
 
     def with_ancestors(self, nodes: list[int]) -> list[int]:
         """Return nodes and all above them, parents first."""

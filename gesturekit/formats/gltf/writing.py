@@ -95,8 +95,7 @@ class _Builder:
     def bounded(self, values: np.ndarray, use: Mapping[str, int] | None = None) -> int:
         """Add an accessor of floats with its least and greatest values."""
         values = values.astype("<f4")
-        low, high = (end.astype(float).tolist() for end in (values.min(axis=0), values.max(axis=0)))
-        return self.array(values, use=use, min=low, max=high)
+        return self.array(values, use=use, **_ends(values))
 
     def displacements(self, values: np.ndarray) -> int:
         """Add an accessor of floats (N, 3), of which those that are not zero may be stored."""
@@ -104,9 +103,8 @@ class _Builder:
         rows = np.flatnonzero(values.any(axis=1))
         if 2 * len(rows) >= len(values):
             return self.bounded(values, _VERTICES)
-        low, high = (end.astype(float).tolist() for end in (values.min(axis=0), values.max(axis=0)))
         accessor: dict[str, Any] = {"componentType": _FLOAT, "type": "VEC3", "count": len(values)}
-        accessor |= {"min": low, "max": high}
+        accessor |= _ends(values)
         if len(rows):
             places, moved = rows.astype(_DTYPES[_INT]).tobytes(), values[rows].tobytes()
             accessor["sparse"] = {
@@ -125,6 +123,11 @@ class _Builder:
         size = 28 + len(text) + len(self._data)
         head = struct.pack("<4s4I", b"glTF", 2, size, len(text), JSON)
         return head + text + struct.pack("<2I", len(self._data), BIN) + bytes(self._data)
+
+
+def _ends(values: np.ndarray) -> dict[str, Any]:
+    """Return the least and greatest values of an accessor (N, W)."""
+    return {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
 
 
 def animated_skeleton(
@@ -196,14 +199,6 @@ def vrm_animation(motion: Motion, name: str) -> bytes:
     return builder.file()
 
 
-def _started(skeleton: Skeleton) -> tuple[_Builder, list[int], np.ndarray]:
-    """Return a file with the nodes of a rig, and their parents and positions as of `_rig`."""
-    builder = _Builder({"asset": {"version": "2.0", "generator": "gesturekit"}, "scene": 0})
-    nodes, parents, rest = _rig(skeleton)
-    builder.json |= {"scenes": [{"nodes": [0]}], "nodes": nodes}
-    return builder, parents, rest
-
-
 def _curves(motion: Motion) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
     """Return rotations (T, 4) and translations (T, 3) by joint."""
     skeleton = motion.skeleton
@@ -211,9 +206,7 @@ def _curves(motion: Motion) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray
     return dict(enumerate(np.moveaxis(motion.rotations, 1, 0))), {0: motion.translation, **places}
 
 
-def _mesh(
-    name: str, primitives: list[dict[str, Any]], channels: Sequence[str] = ()
-) -> dict[str, Any]:
+def _mesh(name: str, primitives: list[dict[str, Any]], channels: Sequence[str]) -> dict[str, Any]:
     """Return a mesh; `channels` are the names of its morph targets."""
     mesh: dict[str, Any] = {"name": name, "primitives": primitives}
     if channels:
@@ -239,8 +232,8 @@ def _or_triangle(
     return {node: face.values}, [node]
 
 
-def _rig(skeleton: Skeleton) -> tuple[list[dict[str, Any]], list[int], np.ndarray]:
-    """Return N nodes of joints and end sites, their parents, and positions (N, 3) at rest."""
+def _started(skeleton: Skeleton) -> tuple[_Builder, list[int], np.ndarray]:
+    """Return a file with N joints and end sites, their parents, and positions (N, 3) at rest."""
     ends = [name for name, sites in skeleton.end_sites.items() for _ in sites]
     sites = [site for sites in skeleton.end_sites.values() for site in sites]
     names = unique_names([*skeleton.names, *(f"{name}_end" for name in ends)])
@@ -254,7 +247,8 @@ def _rig(skeleton: Skeleton) -> tuple[list[dict[str, Any]], list[int], np.ndarra
             nodes[parent].setdefault("children", []).append(k)
         if k >= skeleton.n_joints:
             nodes[k]["extras"] = {END_SITE: True}
-    return nodes, parents, rest
+    about = {"asset": {"version": "2.0", "generator": "gesturekit"}, "scene": 0}
+    return _Builder(about | {"scenes": [{"nodes": [0]}], "nodes": nodes}), parents, rest
 
 
 def bones(parents: Sequence[int], rest: np.ndarray) -> Skin:
@@ -335,13 +329,11 @@ def _targets(
     still = builder.displacements(np.zeros((len(used), 3)))
     targets = []
     for channel in channels:
-        target = still
-        if (morph := skin.morphs.get(channel)) is not None:
-            moved = np.zeros(skin.vertices.shape)
-            moved[morph.vertices] = scale * morph.offsets
-            if moved[used].any():
-                target = builder.displacements(moved[used])
-        targets.append({"POSITION": target})
+        moves = np.zeros(skin.vertices.shape)
+        if morph := skin.morphs.get(channel):
+            moves[morph.vertices] = scale * morph.offsets
+        moves = moves[used]
+        targets.append({"POSITION": builder.displacements(moves) if moves.any() else still})
     return targets
 
 
