@@ -1,12 +1,16 @@
 """The report, as a person who opens the file meets it."""
 
+import base64
 import html
+import io
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import soundfile
 from markupsafe import escape
 from pages import bundled
 
@@ -96,6 +100,21 @@ def test_it_plays_the_best_and_the_worst_beside_their_recordings(page, evaluatio
     labels = [figure["label"] for figure in clips[0]["motion"]["figures"]]
     assert labels == ["model", HOSTILE, "recording"]
     assert all("audio" in clip["motion"] for clip in clips)
+
+
+def test_a_clip_of_a_later_window_is_played_with_the_sound_of_that_window(tmp_path, gesture):
+    """Twenty seconds of sound, of which the second ten hum."""
+    time = np.arange(20 * 16000) / 16000
+    hum = np.where(time < 10, 0.0, 0.3 * np.sin(2 * np.pi * 150 * time))
+    (tmp_path / "sound").mkdir()
+    soundfile.write(tmp_path / "sound" / "a.wav", hum, 16000)
+    gesture(20.0, 25.0).save(tmp_path / "recordings" / "a.npz")
+    gesture(10.0, 25.0, seed=1).save(tmp_path / "made" / "a_w001.npz")
+    found = evaluate(tmp_path / "made", tmp_path / "recordings", audio=tmp_path / "sound")
+    write_report(found, path := tmp_path / "report.html")
+    data = clips_of(path)[0]["motion"]["audio"]["data"]
+    played, rate = soundfile.read(io.BytesIO(base64.b64decode(data)))
+    assert len(played) / rate == pytest.approx(10.0) and np.std(played[:rate]) > 0.1
 
 
 def test_the_same_evaluation_gives_the_same_page(page, evaluation, tmp_path):
