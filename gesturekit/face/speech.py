@@ -1,8 +1,9 @@
-"""Face from speech by rules: what `face_from_speech` makes of a sound."""
+"""Rule-based face motion of a whole sound."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -48,6 +49,18 @@ def face_from_speech(
     Raises:
         MotionError: another method, or phones without PocketSphinx.
     """
+    return faces_from_speech(speech, fps, n_frames, method, transcript, [Eyes(seed, item)])[0]
+
+
+def faces_from_speech(
+    speech: Wave,
+    fps: float,
+    n_frames: int,
+    method: str,
+    transcript: str | None,
+    eyes: Sequence[Eyes],
+) -> list[FaceTrack]:
+    """Return a face for each of `eyes`, all with the same mouth; see `face_from_speech`."""
     if method not in METHODS:
         raise MotionError(f"method {method!r} of a face; expected {' or '.join(METHODS)}")
     speech = speech.resample(SAMPLE_RATE).at_level()
@@ -60,5 +73,5 @@ def face_from_speech(
     else:
         phones = [] if speech.is_silent else phones_of(speech, openness, transcript)
         mouth = sampled(mouth_of_phones(phones, openness, hold=1.2 / fps), at)
-    eyes = sampled(Eyes(seed, item).step(openness > 0), at)
-    return FaceTrack(NAMES, channels(mouth, eyes), "rules")
+    looks = (sampled(each.step(openness > 0), at) for each in eyes)
+    return [FaceTrack(NAMES, channels(mouth, look), "rules") for look in looks]

@@ -24,7 +24,8 @@ from audio_features.extractor import needs_of
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
-from gesturekit.face import face_from_speech
+from gesturekit.face.eyes import Eyes
+from gesturekit.face.speech import faces_from_speech
 from gesturekit.model import Controls, Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
@@ -516,11 +517,8 @@ def with_faces(
         return [*motions]
     if wave is None:
         log.warning("face=%r: there is no speech; the mouth stays closed", method)
-        text, n_samples = None, int(16_000 * max(1.0, motions[0].duration))
-        wave = af.Wave(np.zeros(n_samples, np.float32), 16_000)
-    made = []
-    for number, motion in enumerate(motions):
-        drawn = rng_for(seed, item, "sample", number, "face").initial_seed() >> 1
-        face = face_from_speech(wave, motion.fps, motion.n_frames, method, text, drawn)
-        made.append(replace(motion, face=face))
-    return made
+        wave = af.Wave(np.zeros(16_000, np.float32), 16_000)
+    rngs = (rng_for(seed, item, "sample", number, "face") for number in range(len(motions)))
+    eyes, first = [Eyes(rng.initial_seed() >> 1) for rng in rngs], motions[0]
+    faces = faces_from_speech(wave, first.fps, first.n_frames, method, text, eyes)
+    return [replace(motion, face=face) for motion, face in zip(motions, faces)]
