@@ -280,7 +280,8 @@ def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
         from gesturekit.jobs.records import all_records
         from gesturekit.rendering.summary import faces_in_words
 
-        click.echo(faces_in_words(all_records(batch.state)), err=True)
+        if faces := faces_in_words(all_records(batch.state)):
+            click.echo(faces, err=True)
     click.echo(summary, err=True)
     return 1 if summary.counts["failed"] else 0
 

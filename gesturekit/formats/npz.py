@@ -237,7 +237,7 @@ def _from_native(archive: Archive) -> Motion:
         motion.info["up"] = up if up in UP_TO_Y else "y"
     face = read_face(archive, motion.n_frames)
     if face is not None and "face" in archive:
-        face = replace(face, origin=archive.texts("face")[0])
+        face = replace(face, origin=",".join(archive.texts("face")))
     return replace(motion, face=face)
 
 

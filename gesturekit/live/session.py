@@ -348,8 +348,7 @@ class Session:
         while not all(getattr(sink, "is_open", True) for sink in opened):
             if time.monotonic() >= latest or stopped.wait(_PAGE_POLL):
                 break
-        about: dict[str, Any] = {"report": report, "stopped": stopped, "warn": self._warn}
-        run(stream, source, opened, face=face, **about)
+        run(stream, source, opened, report=report, stopped=stopped, warn=self._warn, face=face)
 
     def _stream(self, model: Model, source: Source) -> MotionStream:
         return model.stream(source.rate, self.look_ahead, self.seed, **self.controls)

@@ -51,15 +51,19 @@ class PassiveChannels:
 
     @classmethod
     def find(cls, motions: Sequence[Motion], modelled: Sequence[str]) -> PassiveChannels:
-        """Find the channels that move in the motions of one rig but are not modelled."""
+        """Find the channels that move in the motions of one rig but are not modelled.
+
+        Faces by rules are no recordings, and left out.
+        """
         moving = []
         for j, name in enumerate(motions[0].skeleton.names):
             if name not in modelled:
                 sixd = [sixd_from_quaternion(motion.rotations[:, j]) for motion in motions]
                 if np.concatenate(sixd).std(axis=0).max() > _STILL:
                     moving.append(name)
-        channels = {() if motion.face is None else motion.face.names for motion in motions}
-        return cls(tuple(moving), channels.pop() if len(channels) == 1 else ())
+        faces = [motion.face for motion in motions]
+        recorded = {face.names if face and face.origin == "recorded" else () for face in faces}
+        return cls(tuple(moving), recorded.pop() if len(recorded) == 1 else ())
 
     def encode(self, motion: Motion) -> Tensor:
         """Return (6 F + E, T) float32 rotations and face channels."""

@@ -112,6 +112,8 @@ class InbetweenClips:
             rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
             faces = None
             if track and clip.face and clip.face.names == track.names:
+                if clip.face.origin == "rules":
+                    track = replace(track, origin="rules")
                 faces = track.values
                 faces[begin:stop] = clip.face.values
             for name, values in moving.items():

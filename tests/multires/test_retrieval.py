@@ -190,6 +190,9 @@ def test_all_controls_move_fingers_and_the_face(state_model, speech):
     kept = state_model.generate(speech, keep={1.0: clip})
     np.testing.assert_allclose(kept.rotations[30:90], clip.rotations, atol=1e-9)
     np.testing.assert_array_equal(kept.face.values[30:90], clip.face.values)
+    ruled = replace(clip, face=replace(clip.face, origin="rules"))
+    origins = [state_model.generate(speech, keep={1.0: c}).face.origin for c in (clip, ruled)]
+    assert origins == ["recorded", "rules"]
     coarse = state_model.generate(speech, levels=2, seed=4)
     others = (
         {"keyframes": coarse, "keyframe_level": 2, "seed": 4},
@@ -310,8 +313,10 @@ def test_joints_that_hardly_move_are_no_passive_channels(gesture, size, moves):
     faced = replace(motion, face=smplx_face(np.zeros((motion.n_frames, 10))))
     wider = replace(motion, face=smplx_face(np.zeros((motion.n_frames, 50))))
     assert PassiveChannels.find([faced, faced], modelled).face == smplx_names(10)
-    for other in (wider, motion):
+    ruled = replace(motion, face=replace(faced.face, origin="rules"))
+    for other in (wider, motion, ruled):
         assert not PassiveChannels.find([faced, other], modelled).face
+    assert not PassiveChannels.find([ruled], modelled).face
 
 
 @pytest.mark.parametrize("n_frames", [5, 1030])
