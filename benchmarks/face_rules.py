@@ -77,7 +77,7 @@ def spoken(voice: str) -> list[tuple[af.Wave, list[tuple[str, float, float]]]]:
     return result
 
 
-def lips(voice: str, method: str, told: bool, snr: float | None) -> dict[str, tuple[float, int]]:
+def lips(voice: str, method: str, aligned: bool, snr: float | None) -> dict[str, tuple[float, int]]:
     """Return how often lips are closed at p, b and m, in vowels and in pauses, and of how many."""
     counts = {"p, b, m": [], "vowels": [], "pauses": []}
     for (wave, phones), text in zip(spoken(voice), SENTENCES, strict=True):
@@ -86,7 +86,7 @@ def lips(voice: str, method: str, told: bool, snr: float | None) -> dict[str, tu
             noise = np.random.default_rng(0).standard_normal(len(wave.samples)) * level
             wave = replace(wave, samples=wave.samples + noise.astype(np.float32))
         n = wave.n_frames(FPS)
-        face = face_from_speech(wave, FPS, n, method, text if told else None)
+        face = face_from_speech(wave, FPS, n, method, text if aligned else None)
         times = np.arange(n) / FPS
         closed = face.channel("jawOpen") - face.channel("mouthClose") <= CLOSED
         for name, start, end in phones:
@@ -153,9 +153,9 @@ def main() -> None:
     speed_and_blinks()
     for voice in VOICES:
         for snr in (None, 20.0, 10.0):
-            for method, told in (("phones", True), ("phones", False), ("energy", False)):
-                label = f"{voice}, SNR {snr or 'none'}, {method}{', transcript' * told}"
-                shares = lips(voice, method, told, snr)
+            for method, aligned in (("phones", True), ("phones", False), ("energy", False)):
+                label = f"{voice}, SNR {snr or 'none'}, {method}{', transcript' * aligned}"
+                shares = lips(voice, method, aligned, snr)
                 print(f"{label} |", " | ".join(f"{share:.0%}" for share, _ in shares.values()))
     if options.recordings:
         recorded(options.recordings, options.chosen_on)

@@ -1,9 +1,9 @@
-"""Mouth from bands of the spectrum, in any language; also live.
+"""Mouth shapes from energy in frequency bands, in any language, of whole sounds and streams.
 
 As in Llorach et al. ("Web-based live speech-driven lip-sync", VS-Games 2016), the amplitude in 700
-to 3000 Hz opens the mouth, sound of lower frequency alone rounds the lips, and hissing shows the
-teeth. Amplitude counts from the sound's own floor to the speaker's own level, so that neither the
-gain of a microphone nor steady noise opens the mouth.
+to 3000 Hz opens the mouth, sound of lower frequency alone rounds the lips, and sibilants show the
+teeth. Amplitude is scaled between the sound's noise floor and the speaker's level, so that neither
+the gain of a microphone nor steady noise opens the mouth.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from gesturekit.face.visemes import NAMES, SHAPES, channels
 _LOW, _OPEN, _HISS = ((80, 500), (700, 3000), (4000, 8000))
 """Bands, Hz."""
 _FLOOR, _LEVEL = 0.1, 0.95
-"""Quantiles of the power of the second band that are its floor and the speaker's level."""
+"""Quantiles of the power of the second band: its noise floor, and the speaker's level."""
 _ABOVE, _LEAST = 4.0, 0.2
-"""Times the floor at which the mouth begins to open; lowest level, relative to active speech."""
+"""Power at which the mouth begins to open, in floors; lowest level, relative to active speech."""
 _COMPRESSION = 0.35
 """Exponent of power; 0.5 is amplitude."""
 _SMOOTH = np.hanning(21)[1:-1] / np.hanning(21).sum()
-_AHEAD = len(_SMOOTH) // 2
+_AHEAD = len(_SMOOTH) // 2  # hundredths of a second that smoothing looks ahead
 _STEP, _REMEMBERED = 6, 1000
-"""Frames of a stream that are analysed at a time, and whose power is known."""
+"""Hundredths of a second of a stream that are analysed at a time, and kept for floor and level."""
 _EXPECTED = np.geomspace(0.0005, 1.5, 200)
-"""Powers of speech, with which a stream begins."""
+"""Typical powers of speech, which give a stream its first floor and level."""
 
 
 def mouth_of_sound(wave: Wave) -> tuple[np.ndarray, np.ndarray]:
-    """Return openness (T,) from 0 to 1 and shapes of the mouth (T, S) of a sound, 100 a second.
+    """Return openness (T,) in [0, 1] and mouth shapes (T, S) of a whole sound, 100 a second.
 
     Args:
         wave: 16 kHz, at the standard level.
@@ -53,7 +53,7 @@ def _bands(power: np.ndarray) -> np.ndarray:
 
 
 def _mouth(bands: np.ndarray, remembered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return openness (T,) and shapes of the mouth (T, S).
+    """Return openness (T,) in [0, 1] and mouth shapes (T, S).
 
     Args:
         bands: (T, 3), from `_bands`.
@@ -79,13 +79,13 @@ def smoothed(curves: np.ndarray) -> np.ndarray:
 
 
 def sampled(curves: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return curves (T, C) at the places `at` (N,), interpolated: (N, C)."""
+    """Return curves (T, C) interpolated at fractional rows `at` (N,): (N, C)."""
     columns = [np.interp(at, np.arange(len(curves)), column) for column in curves.T]
     return np.stack(columns, axis=1)
 
 
 def energy_mouth(shapes: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return the shapes (T, S) of a whole sound, smoothed, at the places `at` (N,)."""
+    """Return the shapes (T, S) of a whole sound, smoothed, at fractional rows `at` (N,): (N, S)."""
     return sampled(smoothed(np.pad(shapes, ((_AHEAD, _AHEAD), (0, 0)))), at)
 
 
@@ -141,7 +141,7 @@ class EnergyFace:
         return np.concatenate(values)
 
     def _final(self) -> np.ndarray:
-        """Return the values of the frames whose surroundings are there, and forget those."""
+        """Return the values (n, E) of frames whose smoothing window is complete; drop used rows."""
         mouth = smoothed(self._shapes)
         stop = max(math.ceil((self._first + len(mouth) - 1) * self.fps / RATE), self._n_frames)
         at = np.arange(self._n_frames, stop) * (RATE / self.fps) - self._first

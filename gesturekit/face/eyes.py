@@ -1,4 +1,4 @@
-"""Blinks and small eye movements, drawn while time goes on.
+"""Blinks and small eye movements, drawn one hundredth of a second after the other.
 
 Blinks: gaps are log-normal, 17 a minute (people at rest in Bentivoglio et al. 1997), and a blink
 that is due soon is moved to the beginning of a pause, where people blink more often. Lids close in
@@ -20,7 +20,7 @@ RATE = 100
 _GAP, _SPREAD = 3.6, 0.5
 """Mean seconds between blinks, and standard deviation of their logarithm."""
 _PAUSE, _SOON = 0.25, 1.5
-"""Seconds of silence that are a pause, and before a blink is due in which a pause moves it."""
+"""Seconds of silence that make a pause; a blink due within the second number moves to it."""
 _CLOSING, _CLOSED, _OPENING = 0.08, 0.03, 0.17
 _FIXATION, _SHORTEST = 1.4, 0.25
 """Mean and least seconds of a fixation."""

@@ -1,4 +1,4 @@
-"""English phones of speech, found by PocketSphinx (BSD licence) and its model of US English."""
+"""English phones of speech, by PocketSphinx (BSD licence) and its model of US English."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 _RATE = 16_000
 _FRAME = 0.01
 _CENTRE = 0.008
-"""Seconds from the beginning of a frame to where the phones of it and of the one before meet."""
+"""Seconds after the start of a frame at which a phone that begins with it is taken to begin."""
 _SHORTEST, _LONGEST = 10, 20
 """Seconds of sound that are searched at a time."""
 _ALIGNED = 120

@@ -36,7 +36,7 @@ def face_from_speech(
         speech: the sound; its level does not matter.
         fps: frames per second; frame k is at k / fps s.
         n_frames: T.
-        method: "energy" opens the mouth by the loudness of the voice, in any language; "phones"
+        method: "energy" opens the mouth by the energy of the voice, in any language; "phones"
             shapes it by English phones that PocketSphinx finds.
         transcript: English words that are spoken, for "phones"; a warning says what of it is no
             help, such as words that are not in the dictionary.

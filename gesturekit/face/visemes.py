@@ -1,4 +1,4 @@
-"""Shapes of the mouth, and the mouth from phones: visemes, coarticulation and lip closures.
+"""Mouth shapes from phones: visemes, coarticulation and lip closures.
 
 Targets follow the viseme groups of MPEG-4 (ISO/IEC 14496-2, table C-1) and the height and rounding
 of vowels in the chart of the IPA. They are blended by each phone's dominance over the lips (Cohen
@@ -94,7 +94,7 @@ _SPOKEN = 0.15
 
 
 def mouth_of_phones(phones: Iterable[Phone], openness: np.ndarray, hold: float) -> np.ndarray:
-    """Return the shapes of the mouth (T, S), 100 a second.
+    """Return mouth shapes (T, S) of phones, 100 a second.
 
     Args:
         phones: by time; other names than ARPAbet's count as silence.

@@ -1,7 +1,7 @@
 """CSV files of faces that Epic's iPhone app Live Link Face records.
 
-A row a frame: a timecode, the number of values (61), ARKit's 52 channels, and nine angles of head
-and eyes, which are left out. Timecodes are HH:MM:SS:FF.SSS, FF.SSS in frames of the app's rate.
+Each row is a frame: a timecode, the number of values (61), ARKit's 52 channels, and nine angles of
+head and eyes, which are left out. Timecodes are HH:MM:SS:FF.SSS, FF.SSS in frames at its rate.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ def _quantile(values: deque[float], share: float) -> float | None:
 
 
 class LiveFace:
-    """Adds a face by rules to the motion of a stream; a recorded face that is played stays.
+    """Face by rules for the motion of a stream; a recorded face that is played stays.
 
     A frame whose face is not final yet gets the newest one: with a `look_ahead` below the delay of
     `EnergyFace`, the mouth is late by the difference.

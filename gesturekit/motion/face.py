@@ -1,4 +1,4 @@
-"""Faces: named channels for each frame, such as ARKit's blendshapes or SMPL-X's coefficients."""
+"""Face tracks: named channels over time, such as ARKit's blendshapes or SMPL-X coefficients."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ OTHERS, PIECES, HALVES = (
 )
 
 _OF_SPEECH = ("mouth", "mouth_lag", "mouth_chance", "mouth_z")
-"""What another take is no goal for: a mouth follows the words."""
+"""Metrics for which another take is no goal: a mouth follows the words."""
 
 SECOND = ", second half"
 """Ending of the name of the second half of a single recording."""

@@ -330,9 +330,9 @@ def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> floa
 
 
 def feet_above_floor(motion: Motion, heights: np.ndarray | None = None) -> float:
-    """Return how high the lowest foot point is above its standing height, nearly always, metres.
+    """Return the height of the lowest foot point above its standing height, metres.
 
-    The 5 % quantile over frames; 0 where a foot is on the ground now and then.
+    The 5 % quantile over frames: 0 where a foot is on the ground in 5 % of them.
 
     Args:
         motion: any number of frames.
@@ -356,7 +356,7 @@ def feet_above_floor(motion: Motion, heights: np.ndarray | None = None) -> float
 
 
 def bone_length_change(motion: Motion, joints: Sequence[str] | None = None) -> float:
-    """Return the standard deviation over time of the bone that changes most, over its mean length.
+    """Return the largest standard deviation over time of a bone's length, over its mean length.
 
     Bones end at joints below the first one that moves, and are 1 cm long or more.
 

@@ -113,8 +113,8 @@ def pose_pair(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the poses (T, 3 (J - 1)) of both motions over their common frames, metres.
 
-    Relative to the pelvis are those below it: joints above may lie on the floor. Where it is not
-    known, or not among `joints`, all are relative to the first one.
+    They are those of joints below the pelvis, relative to it: joints above may lie on the floor.
+    Where it is not known, or not among `joints`, all are relative to the first one.
     """
     parts = known_parts(recording.skeleton)
     if parts is not None and parts.pelvis in joints:

@@ -60,7 +60,7 @@ def expressions_of(face: FaceTrack) -> dict[str, np.ndarray]:
 
 
 def without_derived(names: Iterable[str]) -> list[str]:
-    """Return names of expressions, beside ARKit's without presets that are made of them."""
+    """Return names of expressions; beside ARKit's, without presets that are made of them."""
     names = list(names)
     derived = (*_VOWELS, *_OF_EYES) if set(names) & set(ARKIT) else ()
     return [name for name in names if name not in derived]

@@ -118,8 +118,8 @@ def _joints(gltf: Gltf, nodes: Nodes) -> tuple[list[int], list[int]]:
         raise gltf.error("no skeleton in it: neither a skin nor an animated node")
     inside, below = set(named), set(named)
     for node in nodes.order:
-        is_thing = node in expressions or entries[node].keys() & {"mesh", "camera"}
-        if nodes.parents[node] in inside and not is_thing:
+        is_no_joint = node in expressions or entries[node].keys() & {"mesh", "camera"}
+        if nodes.parents[node] in inside and not is_no_joint:
             inside.add(node)
         if nodes.parents[node] in below:
             below.add(node)

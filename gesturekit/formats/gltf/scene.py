@@ -36,7 +36,7 @@ _ALIKE = 5e-3
 """Relative distance within which a common rate is likelier than the mean of the steps."""
 _NO_KEYS_RATE = 30.0
 _LONGEST_NAME, _NAME_STEPS = 200, 50
-"""Characters of the name of a face channel, and work for one."""
+"""Longest name of a face channel, characters, and the work that a name counts as."""
 
 
 class NoAnimationWarning(UserWarning):
@@ -143,7 +143,7 @@ class Animation:
 
         Raises:
             FormatError: so many values that the file is too small for them.
-            MotionError: a channel without a name.
+            MotionError: values that are not finite, or beyond 1e9.
         """
         if not self.face:
             return None
@@ -226,7 +226,7 @@ def read_animation(gltf: Gltf, nodes: set[int], name: str | None) -> Animation:
     return Animation("", {})
 
 
-_Sampler = tuple[int, str, dict[str, Any]]
+_Channel = tuple[int, str, dict[str, Any]]
 """Node and property of a channel, and its sampler."""
 
 
@@ -253,7 +253,7 @@ class _Keys:
         origin = "rules" if extras.get("face") == "rules" else "recorded"
         return Animation(name, curves, rate, self.face(entry), origin)
 
-    def seconds(self, samplers: Iterable[_Sampler]) -> float | None:
+    def seconds(self, samplers: Iterable[_Channel]) -> float | None:
         """Return the time of the last key; None without samplers."""
         return max((self._at(sampler)[0][-1] for _, _, sampler in samplers), default=None)
 
@@ -283,17 +283,17 @@ class _Keys:
                 found.setdefault(label, Curve(curve.times, values, curve.interpolation))
         return found
 
-    def of_nodes(self, entry: dict[str, Any], nodes: set[int]) -> Iterator[_Sampler]:
+    def of_nodes(self, entry: dict[str, Any], nodes: set[int]) -> Iterator[_Channel]:
         """Yield the channels that move some nodes."""
         return ((n, p, s) for n, p, s in self._channels(entry) if n in nodes and p != "weights")
 
-    def of_face(self, entry: dict[str, Any]) -> Iterator[_Sampler]:
+    def of_face(self, entry: dict[str, Any]) -> Iterator[_Channel]:
         """Yield the channels of morph targets and expressions."""
         for node, path, sampler in self._channels(entry):
             if path == "weights" or (path == "translation" and node in self._expressions):
                 yield node, path, sampler
 
-    def _channels(self, entry: dict[str, Any]) -> Iterator[_Sampler]:
+    def _channels(self, entry: dict[str, Any]) -> Iterator[_Channel]:
         gltf, samplers = self._gltf, self._gltf.items("samplers", entry)
         n_nodes = len(gltf.items("nodes"))
         for channel in gltf.items("channels", entry):

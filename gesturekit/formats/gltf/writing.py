@@ -45,7 +45,7 @@ _SHORTEST = 1e-6
 """Length of bones that are seen, metres."""
 _TURNED = np.array([0.0, 1.0, 0.0, 0.0])
 """Half a turn about Y."""
-_TRIANGLE = 1e-3
+_PLACEHOLDER = 1e-3
 """Size of the mesh for face channels that move no mesh, metres."""
 _VRM = ("VRM", "VRMC_vrm", "VRMC_springBone", "VRMC_node_constraint")
 """Extensions for programs that move the nodes themselves."""
@@ -95,16 +95,16 @@ class _Builder:
     def bounded(self, values: np.ndarray, use: Mapping[str, int] | None = None) -> int:
         """Add an accessor of floats with its least and greatest values."""
         values = values.astype("<f4")
-        return self.array(values, use=use, **_ends(values))
+        return self.array(values, use=use, **_bounds(values))
 
     def displacements(self, values: np.ndarray) -> int:
-        """Add an accessor of floats (N, 3), of which those that are not zero may be stored."""
+        """Add an accessor of floats (N, 3), sparse where most rows are zero."""
         values = values.astype("<f4")
         rows = np.flatnonzero(values.any(axis=1))
         if 2 * len(rows) >= len(values):
             return self.bounded(values, _VERTICES)
         accessor: dict[str, Any] = {"componentType": _FLOAT, "type": "VEC3", "count": len(values)}
-        accessor |= _ends(values)
+        accessor |= _bounds(values)
         if len(rows):
             places, moved = rows.astype(_DTYPES[_INT]).tobytes(), values[rows].tobytes()
             accessor["sparse"] = {
@@ -125,7 +125,7 @@ class _Builder:
         return head + text + struct.pack("<2I", len(self._data), BIN) + bytes(self._data)
 
 
-def _ends(values: np.ndarray) -> dict[str, Any]:
+def _bounds(values: np.ndarray) -> dict[str, Any]:
     """Return the least and greatest values of an accessor (N, W)."""
     return {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
 
@@ -149,7 +149,7 @@ def animated_skeleton(
         colours: name and colour (RGB, 0 to 255, sRGB) of the material of each region of the skin.
         scale: factor on the skin's vertices.
     """
-    builder, parents, rest = _started(motion.skeleton)
+    builder, parents, rest = _builder_of(motion.skeleton)
     is_bones = skin is None
     if skin is None:
         skin, colours = bones(parents, rest), {"bones": _BONE}
@@ -167,8 +167,8 @@ def animated_skeleton(
         body = builder.append("nodes", {"name": f"{name}_mesh", "mesh": mesh, "skin": 0})
         builder.json["scenes"][0]["nodes"].append(body)
         weights = {body: motion.face.values} if motion.face is not None and channels else {}
-    weights, alone = _or_triangle(builder, name, motion.face, weights)
-    builder.json["scenes"][0]["nodes"] += alone
+    weights, placeholder = _weights_or_placeholder(builder, name, motion.face, weights)
+    builder.json["scenes"][0]["nodes"] += placeholder
     _animate(builder, motion, name, *_curves(motion), weights)
     return builder.file()
 
@@ -180,7 +180,7 @@ def vrm_animation(motion: Motion, name: str) -> bytes:
         motion: T frames; the rig rests in a T-pose.
         name: of the animation.
     """
-    builder, _, _ = _started(motion.skeleton)
+    builder, _, _ = _builder_of(motion.skeleton)
     nodes = {joint: {"node": k} for k, joint in enumerate(motion.skeleton.names)}
     bones = {bone: nodes[ours] for bone, ours in our_names(True).items() if ours in nodes}
     extension: dict[str, Any] = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
@@ -215,16 +215,16 @@ def _mesh(name: str, primitives: list[dict[str, Any]], channels: Sequence[str]) 
     return mesh
 
 
-def _or_triangle(
+def _weights_or_placeholder(
     builder: _Builder, name: str, face: FaceTrack | None, weights: dict[int, np.ndarray]
 ) -> tuple[dict[int, np.ndarray], list[int]]:
     """Return the weights (T, E) of a face by node, and nodes that were added.
 
-    Where no node has any, that is a triangle with morph targets that do not move it.
+    Where no node has any, one is added: a triangle that its morph targets do not move.
     """
     if weights or face is None or not face.names:
         return weights, []
-    corners = builder.bounded(_TRIANGLE * np.eye(3), _VERTICES)
+    corners = builder.bounded(_PLACEHOLDER * np.eye(3), _VERTICES)
     still = {"POSITION": builder.displacements(np.zeros((3, 3)))}
     primitives = [{"attributes": {"POSITION": corners}, "targets": [still] * len(face.names)}]
     mesh = builder.append("meshes", _mesh(name, primitives, face.names))
@@ -232,8 +232,8 @@ def _or_triangle(
     return {node: face.values}, [node]
 
 
-def _started(skeleton: Skeleton) -> tuple[_Builder, list[int], np.ndarray]:
-    """Return a file with N joints and end sites, their parents, and positions (N, 3) at rest."""
+def _builder_of(skeleton: Skeleton) -> tuple[_Builder, list[int], np.ndarray]:
+    """Return a builder with N joints and end sites, their parents, and positions (N, 3) at rest."""
     ends = [name for name, sites in skeleton.end_sites.items() for _ in sites]
     sites = [site for sites in skeleton.end_sites.values() for site in sites]
     names = unique_names([*skeleton.names, *(f"{name}_end" for name in ends)])
@@ -404,12 +404,12 @@ def animated_avatar(avatar: Avatar, motion: Motion, name: str, scale: float) -> 
     places = motion.translation / scale * ([-1, 1, -1] if avatar.is_backwards else [1, 1, 1])
     places = np.linalg.solve(frame[:3, :3], (places - frame[:3, 3]).T).T
     weights = {} if motion.face is None else _weights(avatar.gltf, motion.face)
-    weights, alone = _or_triangle(builder, name, motion.face, weights)
+    weights, placeholder = _weights_or_placeholder(builder, name, motion.face, weights)
     _animate(builder, motion, name, rotations, {hips: places}, weights)
     roots = [node for node, parent in enumerate(tree.parents) if parent < 0]
     whole = {"name": "avatar", "children": roots, "scale": [scale] * 3}
     root = builder.append("nodes", whole | {"rotation": upright.tolist()})
-    builder.json |= {"scene": 0, "scenes": [{"nodes": [root, *alone]}]}
+    builder.json |= {"scene": 0, "scenes": [{"nodes": [root, *placeholder]}]}
     try:
         return builder.file()
     except ValueError:

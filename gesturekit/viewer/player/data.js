@@ -69,8 +69,8 @@ async function meshes(skin) {
   return [{ faces, joints: bytes(skin.joints), weights: bytes(skin.weights) }];
 }
 
-// A figure's skin at rest, finest level first; four numbers of `turns` are a joint's quaternion, and
-// as many of `face` a frame as the finest level has morphs are their shares.
+// A figure's skin at rest, finest level first. A frame has four numbers of `turns` for each joint, its
+// quaternion, and a weight in `face` for each morph of the finest level.
 async function skin({ n_frames: frames, n_joints: count, skin }, shared) {
   const { scale, palette } = skin;
   const scaled = (places) => places.map((x) => scale * x);
