@@ -84,12 +84,13 @@ def face_of(path) -> tuple[str, np.ndarray]:
 
 @pytest.fixture
 def speech(tmp_path):
-    """Folder with three sounds; b has a text, c a list of its words and a text of another kind."""
+    """Folder with three sounds; the text of a is empty, c has words and another kind of text."""
     folder = tmp_path / "speech"
     folder.mkdir()
     part = af.Wave.load(bundled_speech(), duration=3.2)
     for name in "abc":
         soundfile.write(folder / f"{name}.wav", part.samples, part.sample_rate)
+    (folder / "a.txt").write_text("\n")
     (folder / "b.txt").write_text(f"\ufeff{TEXT}\n", "utf-8")
     starts = [0.0, 0.2, 0.4, 0.6, 1.0, 1.2, 1.5, 1.7, 2.0, 2.3]
     timed = zip(TEXT.split(), starts, strict=True)

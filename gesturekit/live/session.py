@@ -139,7 +139,7 @@ class LiveFace:
         self._next = 1  # row of _values with the next frame
 
     def shown(self, motion: Motion) -> Motion:
-        """Return a motion with all channels of the face at 1, unless it has one of its own."""
+        """Return an example for sinks: the motion with all channels of a face, or with its own."""
         return self._faced(motion, np.ones((motion.n_frames, len(self._rules.names))))
 
     def added(self, samples: np.ndarray, motion: Motion | None) -> Motion | None:

@@ -171,7 +171,7 @@ class Renderer(Processor):
         if self.controls.get("face") != "phones":
             return None
         given = task.more.get("transcript", self.controls.get("transcript"))
-        return task_transcript(task) if given is None else given
+        return (task_transcript(task) if given is None else given) or None
 
     def has_speaker(self, task: Task) -> bool:
         """Return whether a speaker is chosen for a task, or the model has none to choose from."""
