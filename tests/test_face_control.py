@@ -127,7 +127,7 @@ def test_render_finds_transcripts_beside_the_sounds(gesturekit, speech, tmp_path
 
     what = ("render", "--model", "demo", "--format", "npz", "--face", "phones", "--out", out)
     done = gesturekit(*what, speech).ok()
-    assert "1 item from phones, 2 items from phones and a transcript" in done.err
+    assert "1 item from phones, 2 items from phones, with a transcript given" in done.err
     assert is_of("a", None) and is_of("b", TEXT) and is_of("c", TEXT) and not is_of("b", None)
     (speech / "b.txt").write_text("Another text")
     gesturekit(*what, speech).fails(2, "b.npz", "transcript")

@@ -27,6 +27,8 @@ _ALIGNED = 120
 """Seconds of the longest sound to which a transcript is aligned; memory grows with the square."""
 _NOISES = (20.0, 60.0, 5.0, 180.0)
 """Standard deviations of added noise, in steps of 16-bit sound, until an alignment succeeds."""
+_COVERED = 0.8
+"""Share of the opening of the mouth by the sound that must lie within the words of a transcript."""
 _FASTEST = 60
 """Letters a second that nobody exceeds."""
 _SOUNDS = "AE B K D EH F G HH IH JH K L M N AA P K R S T AH V W K Y Z"
@@ -50,7 +52,7 @@ def phones_of(speech: Wave, openness: np.ndarray, transcript: str | None) -> lis
     except ImportError as error:
         how = "pip install 'gesturekit[face]', or take method energy"
         raise MotionError(f"phones need pocketsphinx, which is not installed: {how}") from error
-    if transcript is not None and (phones := _aligned(pocketsphinx, speech, transcript)):
+    if transcript and (phones := _aligned(pocketsphinx, speech, openness, transcript)):
         return phones
     lm = pocketsphinx.get_model_path("en-us/en-us-phone.lm.bin")
     settings = {"beam": 1e-20, "pbeam": 1e-20, "lw": 2.0}  # of PocketSphinx's documentation
@@ -91,11 +93,11 @@ def _pieces(seconds: float, openness: np.ndarray) -> list[tuple[float, float]]:
     return list(zip(cuts, [*cuts[1:], seconds], strict=True))
 
 
-def _aligned(pocketsphinx: Any, speech: Wave, transcript: str) -> list[Phone]:
+def _aligned(pocketsphinx: Any, speech: Wave, openness: np.ndarray, transcript: str) -> list[Phone]:
     """Return the phones of a transcript; none, with a warning, if it cannot be aligned."""
     text = transcript.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
     words, seconds = re.findall(r"[a-z]+(?:'[a-z]+)*", text), speech.duration
-    reason = "does not fit the sound"
+    name, reason = speech.source or "the speech", "does not fit the sound"
     if not words:
         reason = "has no English words"
     elif seconds > _ALIGNED:
@@ -109,12 +111,26 @@ def _aligned(pocketsphinx: Any, speech: Wave, transcript: str) -> list[Phone]:
             sounds = [_LETTERS[letter] for letter in word.replace("'", "")]
             decoder.add_word(word, " ".join(sounds), True)
         if unknown:
-            log.warning("Not in the dictionary, read letter by letter: %s", listed(unknown))
+            log.warning("%s: not in the dictionary, read by letters: %s", name, listed(unknown))
         for noise in _NOISES:
             with suppress(RuntimeError):
-                return _align(decoder, " ".join(words), _pcm(speech, noise))
-    log.warning("The transcript %s; phones are found without it", reason)
+                phones = _align(decoder, " ".join(words), _pcm(speech, noise))
+                if _covered(phones, openness) >= _COVERED:
+                    return phones
+                reason = "leaves much of the speech without words"
+                break
+    how = "phones are found without it; face energy takes any language"
+    log.warning("%s: the transcript %s; %s", name, reason, how)
     return []
+
+
+def _covered(phones: list[Phone], openness: np.ndarray) -> float:
+    """Return the share of the opening of the mouth (T,) that lies within phones."""
+    inside = np.zeros(len(openness), bool)
+    for name, start, end in phones:
+        if name != "SIL":
+            inside[round(start / _FRAME) : round(end / _FRAME)] = True
+    return float(openness[inside].sum() / max(openness.sum(), 1e-9))
 
 
 def _align(decoder: Any, text: str, pcm: np.ndarray) -> list[Phone]:

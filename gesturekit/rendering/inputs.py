@@ -107,7 +107,10 @@ def task_transcript(task: Task) -> str | None:
     beside = task.path.with_suffix(".txt")
     if item is not None or (start, seconds) != (0.0, math.inf) or not beside.is_file():
         return None
-    return read_bytes(beside, _MAX_TEXT, af.FeatureError).decode("utf-8-sig", "replace").strip()
+    return (
+        read_bytes(beside, _MAX_TEXT, af.FeatureError).decode("utf-8-sig", "replace").strip()
+        or None
+    )
 
 
 def find_tasks(sources: SoundSource | Sequence[SoundSource], out: Path) -> list[Task]:

@@ -106,6 +106,8 @@ class Renderer(Processor):
             raise ConfigError(f"format {named}: known: {', '.join(RENDERED)}{convert}")
         if "mp4" in output.formats:
             require_encoder()
+        if self.controls.get("face", "off") != "off" and output.formats == ("bvh",):
+            log.warning("face: BVH holds no face; add npz, glb or html to --format")
         self.existing = output.existing
         self.samples = self.controls.get("samples", 1)
         self.controls = _without_defaults(self.model, self.controls)

@@ -75,8 +75,11 @@ def faces_in_words(results: Iterable[Result]) -> str:
     """Return how many results have faces by rules, and what these were made from; "" for none."""
     files = (next(iter(result.made.values()), {}) for result in results)
     settings = [made for file in files if "face" in (made := file.get("made_with", {}))]
-    end = " and a transcript"
-    ways = Counter(made["face"] + (end if made.get("transcript") else "") for made in settings)
+    given = [made["face"] == "phones" and "transcript" in made for made in settings]
+    ways = Counter(
+        made["face"] + (", with a transcript given" if text else "")
+        for made, text in zip(settings, given)
+    )
     parts = [f"{counted(count, 'item')} from {way}" for way, count in sorted(ways.items())]
     return f"Faces by rules, not recorded: {', '.join(parts)}" if parts else ""
 

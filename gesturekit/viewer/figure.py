@@ -21,7 +21,7 @@ _UPRIGHT = 0.5
 """A body is upright if the unit vector from pelvis to shoulders has a mean y above this."""
 _BUST = 0.75
 """Height that trunk, head and moving arms take in a view, as a share of the whole person's."""
-FRAMINGS = {"whole": 0.0, "waist": 0.45, "face": 0.78}
+FRAMINGS = {"whole": 0.0, "waist": 0.45, "face": 0.82}
 """Share of the body's height that is below a view, by framing; "waist" shows hanging hands too,
 "face" may lose raised ones."""
 SPEED_SMOOTHING = 0.1

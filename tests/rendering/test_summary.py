@@ -55,4 +55,4 @@ def test_it_says_which_faces_were_made_by_rules(page):
         result.made[f"{result.id}.npz"]["made_with"] = made_with
     text = page(results)
     assert "Faces by rules, not recorded: 1 item from &lt;b&gt;" in text
-    assert "1 item from phones, 1 item from phones and a transcript" in text
+    assert "1 item from phones, 1 item from phones, with a transcript given" in text

@@ -332,7 +332,8 @@ def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> floa
 def feet_above_floor(motion: Motion, heights: np.ndarray | None = None) -> float:
     """Return the height of the lowest foot point above its standing height, metres.
 
-    The 5 % quantile over frames: 0 where a foot is on the ground in 5 % of them.
+    The 5 % quantile over frames: 0 where a foot is on the ground in 5 % of them. The ground is at
+    height 0 where standing heights are below it, as of recordings relative to a camera.
 
     Args:
         motion: any number of frames.
@@ -351,7 +352,8 @@ def feet_above_floor(motion: Motion, heights: np.ndarray | None = None) -> float
         >>> round(feet_above_floor(high, standing_heights(low)), 6)
         0.5
     """
-    lowest = (_feet(motion)[..., 1] - _standing(motion, heights)).min(axis=1)
+    ground = np.maximum(_standing(motion, heights), 0.0)
+    lowest = (_feet(motion)[..., 1] - ground).min(axis=1)
     return max(0.0, float(np.quantile(lowest, 0.05)))
 
 
