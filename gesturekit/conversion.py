@@ -463,8 +463,6 @@ def _warn_of_losses(motion: Motion, target: Path) -> None:
     lost = ["face"] if face and suffix == ".bvh" else []
     if face and is_smplx(face) and suffix in (".vrma", ".fbx"):
         lost.append("SMPL-X face coefficients")  # which are not in [0, 1]
-    if face and face.origin == "rules" and suffix == ".csv":
-        warnings.warn(f"{target}: a CSV cannot say that rules made this face", stacklevel=2)
     lost += ["body shape (betas)"] if motion.skeleton.body_shape.betas else []
     if lost and suffix in _WITHOUT_SHAPE:
         text = f"{_WITHOUT_SHAPE[suffix]} holds no {' and no '.join(lost)}; npz does"

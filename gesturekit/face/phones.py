@@ -25,8 +25,8 @@ _SHORTEST, _LONGEST = 10, 20
 """Seconds of sound that are searched at a time."""
 _ALIGNED = 120
 """Seconds of the longest sound to which a transcript is aligned; memory grows with the square."""
-_NOISES = (20.0, 60.0, 5.0, 180.0)
-"""Standard deviations of added noise, in steps of 16-bit sound, until an alignment succeeds."""
+_NOISE = 20.0
+"""Standard deviation of added noise, in steps of 16-bit sound."""
 _COVERED = 0.8
 """Share of the opening of the mouth by the sound that must lie within the words of a transcript."""
 _FASTEST = 60
@@ -57,7 +57,7 @@ def phones_of(speech: Wave, openness: np.ndarray, transcript: str | None) -> lis
     lm = pocketsphinx.get_model_path("en-us/en-us-phone.lm.bin")
     settings = {"beam": 1e-20, "pbeam": 1e-20, "lw": 2.0}  # of PocketSphinx's documentation
     decoder = pocketsphinx.Decoder(allphone=lm, lm=None, dict=None, loglevel="FATAL", **settings)
-    phones, pcm = [], _pcm(speech, _NOISES[0])
+    phones, pcm = [], _pcm(speech)
     for start, stop in _pieces(speech.duration, openness):
         _decode(decoder, pcm[round(start * _RATE) : round(stop * _RATE)])
         parts = decoder.seg() or ()
@@ -65,10 +65,10 @@ def phones_of(speech: Wave, openness: np.ndarray, transcript: str | None) -> lis
     return phones
 
 
-def _pcm(speech: Wave, noise: float) -> np.ndarray:
+def _pcm(speech: Wave) -> np.ndarray:
     """Return 16-bit samples with noise, because PocketSphinx loses its way in digital silence."""
     samples = speech.samples * 32767.0
-    samples += noise * np.random.default_rng(0).standard_normal(len(samples), np.float32)
+    samples += _NOISE * np.random.default_rng(0).standard_normal(len(samples), np.float32)
     return samples.clip(-32768, 32767).astype(np.int16)
 
 
@@ -105,20 +105,20 @@ def _aligned(pocketsphinx: Any, speech: Wave, openness: np.ndarray, transcript: 
     elif (letters := sum(map(len, words))) > 100 + _FASTEST * seconds:
         reason = f"has {letters} letters for {seconds:.1f} s of sound"
     else:
-        decoder = pocketsphinx.Decoder(lm=None, loglevel="FATAL")
+        # A search for the best path in the lattice of an aligned text fails for some sounds.
+        decoder = pocketsphinx.Decoder(lm=None, bestpath=False, loglevel="FATAL")
         unknown = [word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None]
         for word in unknown:
             sounds = [_LETTERS[letter] for letter in word.replace("'", "")]
             decoder.add_word(word, " ".join(sounds), True)
         if unknown:
-            log.warning("%s: not in the dictionary, read by letters: %s", name, listed(unknown))
-        for noise in _NOISES:
-            with suppress(RuntimeError):
-                phones = _align(decoder, " ".join(words), _pcm(speech, noise))
-                if _covered(phones, openness) >= _COVERED:
-                    return phones
-                reason = "leaves much of the speech without words"
-                break
+            text = "%s: not in the dictionary, read letter by letter: %s"
+            log.warning(text, name, listed(unknown))
+        with suppress(RuntimeError):
+            phones = _align(decoder, " ".join(words), _pcm(speech))
+            if _covered(phones, openness) >= _COVERED:
+                return phones
+            reason = "leaves much of the speech without words"
     how = "phones are found without it; face energy takes any language"
     log.warning("%s: the transcript %s; %s", name, reason, how)
     return []

@@ -135,7 +135,7 @@ def write_live_link(motion: Motion, path: str | os.PathLike[str]) -> None:
         FormatError: no face, or none of ARKit's channels.
 
     Warns:
-        UserWarning: channels that are not ARKit's.
+        UserWarning: channels that are not ARKit's, or a face by rules, which reads as recorded.
     """
     face = motion.face
     if face is None or not set(face.names) & set(ARKIT):
@@ -143,6 +143,8 @@ def write_live_link(motion: Motion, path: str | os.PathLike[str]) -> None:
         raise FormatError(f"{path}: the motion has {what}; csv holds nothing else")
     if others := sorted(set(face.names).difference(ARKIT)):
         warnings.warn(f"{path}: not ARKit's, and left out: {listed(others)}", stacklevel=2)
+    if face.origin == "rules":
+        warnings.warn(f"{path}: csv cannot say that rules made this face", stacklevel=2)
     columns = _COLUMNS.split()
     table = values_of(face, [name[0].lower() + name[1:] for name in columns])
     with atomic_write(path) as temporary, temporary.open("w", encoding="ascii", newline="") as file:

@@ -345,3 +345,9 @@ def test_a_body_that_floats_or_whose_bones_change_is_broken(gesture, tmp_path):
     assert "broken" not in sound.verdict
     for model, fact in zip(broken, (r"\b4\d\d mm", r"\b20 %"), strict=True):
         assert "broken" in model.verdict and re.search(fact, model.verdict)
+    for k in range(2):  # recordings relative to a camera
+        motion = Motion.load(tmp_path / "recorded" / f"c{k}.npz")
+        low = replace(motion, translation=motion.translation - [0.0, 0.46, 0.0])
+        low.save(tmp_path / "camera" / f"c{k}.npz")
+    (sound,) = evaluate(tmp_path / "recorded", tmp_path / "camera", cheap=True).models
+    assert "broken" not in sound.verdict

@@ -13,6 +13,7 @@ from gesturekit.errors import MotionError
 from gesturekit.face import METHODS, EnergyFace, face_from_speech
 from gesturekit.face.visemes import SHAPES, Phone, mouth_of_phones
 from gesturekit.motion.face import ARKIT, FaceTrack
+from gesturekit.systems import bundled_speech
 
 RATE = 16_000
 FPS = 30.0
@@ -206,7 +207,6 @@ def test_without_pocketsphinx_one_line_says_what_to_install(monkeypatch):
 @pytest.mark.parametrize(
     ("transcript", "says"),
     [
-        ("", "no English words"),
         ("你好 42 !", "no English words"),
         ("blorptastic", "letter by letter: blorptastic"),
         ("hello " * 500, "2500 letters"),
@@ -216,6 +216,18 @@ def test_a_transcript_that_does_not_help_is_warned_about(transcript, says, caplo
     sound = wave(voiced(2.0))
     assert len(face_of(sound, "phones", transcript=transcript)) == 60
     assert says in caplog.text
+
+
+def test_a_transcript_is_taken_where_it_covers_the_speech(caplog):
+    own = bundled_speech().with_suffix(".txt").read_text("utf-8")
+    sound = af.Wave.load(bundled_speech())
+    free = opening(face_of(sound, "phones"))
+    for text, is_own in ((own, True), ("We meet them once.", False)):
+        caplog.clear()
+        made = opening(face_of(sound, "phones", transcript=text))
+        assert np.array_equal(made, free) is not is_own, "phones are found without it"
+        assert ("leaves much of the speech without words" in caplog.text) is not is_own
+        assert (sound.source in caplog.text) is not is_own
 
 
 @pytest.fixture(scope="module")

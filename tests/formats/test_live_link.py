@@ -87,6 +87,9 @@ def test_what_is_written_has_the_columns_of_the_app_and_is_read_again(gesture, t
     motion = replace(motion, face=gk.FaceTrack((*ARKIT, "mine"), values))
     with pytest.warns(UserWarning, match="mine"):
         motion.save(tmp_path / "a.csv")
+    with pytest.warns(UserWarning, match="(?=.*b.csv).*rules"):
+        rules = gk.FaceTrack(("jawOpen",), values[:, :1], "rules")
+        replace(motion, face=rules).save(tmp_path / "b.csv")
     head, first, second, *_ = (tmp_path / "a.csv").read_text().splitlines()
     names = head.split(",")
     assert names[:3] == ["Timecode", "BlendshapeCount", "EyeBlinkLeft"] and len(names) == 63
