@@ -348,7 +348,7 @@ def feet_above_floor(motion: Motion, heights: np.ndarray | None = None) -> float
 
         >>> rig = gk.load("demo").skeleton
         >>> still = np.tile([0.0, 0, 0, 1], (30, rig.n_joints, 1))
-        >>> low, high = (gk.Motion(rig, still, np.full((30, 3), y), 30) for y in (0, 0.5))
+        >>> low, high = (gk.Motion(rig, still, np.full((30, 3), y), 30) for y in (1, 1.5))
         >>> round(feet_above_floor(high, standing_heights(low)), 6)
         0.5
     """
