@@ -3,19 +3,22 @@
 import json
 import logging
 import re
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 import soundfile
-from loud import LoudModel
+from loud import LoudModel, LoudStream
 from small_models import small_diffusion
+from sounds import voiced
 
 import audio_features as af
 import gesturekit as gk
 from gesturekit import systems
 from gesturekit.errors import ModelError
 from gesturekit.motion import Motion
+from gesturekit.motion.face import FaceTrack
 from gesturekit.systems import bundled_speech
 
 TEXT = "Hello, I am going to show you how this works."
@@ -174,3 +177,26 @@ def test_live_speech_moves_a_face_from_energy(live):
     ages = [(values[k - lag : k + 1] == late[k]).all(axis=1) for k in range(lag, made.n_frames - 1)]
     assert all(age.any() for age in ages) and not any(age[-1] for age in ages[10:60])
     assert live("--face", "off").face is None
+
+
+def test_a_live_mouth_moves_at_the_time_of_the_sound(live):
+    sound = np.concatenate([np.zeros(16_000), 0.1 * voiced(1.0), np.zeros(16_000)])
+    soundfile.write(live.speech, sound, 16_000)
+    made = live("--look-ahead", 0.3)
+    moving = np.flatnonzero(made.face.channel("jawOpen") > 0.05) / made.fps
+    said = np.flatnonzero(abs(sound) > 0.05) / 16_000
+    np.testing.assert_allclose(moving[[0, -1]], said[[0, -1]], atol=0.05)
+
+
+def test_the_recorded_face_that_a_model_plays_live_stays(live, monkeypatch):
+    step = LoudStream._up_to
+
+    def smiling(stream: LoudStream, seconds: float) -> Motion | None:
+        motion = step(stream, seconds)
+        if motion is None:
+            return None
+        return replace(motion, face=FaceTrack(("smile",), np.ones((motion.n_frames, 1))))
+
+    monkeypatch.setattr(LoudStream, "_up_to", smiling)
+    face = live().face
+    assert (face.names, face.origin) == (("smile",), "recorded") and (face.values == 1).all()

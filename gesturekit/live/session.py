@@ -334,7 +334,7 @@ class Session:
 
         @cache
         def example() -> Motion:
-            motion = model.generate(seconds=_EXAMPLE_SECONDS, seed=self.seed)
+            motion = model.generate(seconds=_EXAMPLE_SECONDS)
             return motion if face is None else face.shown(motion)
 
         try:

@@ -28,6 +28,16 @@ def test_agreement_by_hand():
     assert mouth_agreement(recorded, late, FPS)["mouth_lag"] == pytest.approx(-0.12)
 
 
+def test_three_seconds_are_enough_and_lags_end_at_three_tenths_of_a_second():
+    """Of noise at 30 frames per second, 9 frames are 0.3 s; a hundredth of a permille moves."""
+    noise = np.random.default_rng(0).random(99)
+    for frames, lag in ((-9, -0.3), (0, 0.0), (9, 0.3)):
+        late = 1e-3 * np.roll(noise, frames)
+        assert mouth_agreement(late, noise, 30.0)["mouth_lag"] == pytest.approx(lag)
+    assert abs(mouth_agreement(np.roll(noise, 10), noise, 30.0)["mouth_lag"]) <= 0.3
+    assert mouth_agreement(noise[:90], noise, 30.0)["mouth"] == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("frames", [slice(0, 74), slice(0, 100, 100)])
 def test_what_is_short_or_still_has_no_agreement(frames):
     mouth = np.sin(TIMES)

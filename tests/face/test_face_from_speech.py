@@ -71,6 +71,26 @@ def test_sound_of_low_frequency_alone_rounds_the_lips():
     dark, bright = (face_of(wave(part)) for part in (sosfilt(low, voiced(3.0)), voiced(3.0)))
     assert dark.channel("mouthPucker").max() > 0.2 > 2 * bright.channel("mouthPucker").mean()
     assert dark.channel("jawOpen").mean() < 0.5 * bright.channel("jawOpen").mean()
+    funnel, pucker = (dark.channel(name).max() for name in ("mouthFunnel", "mouthPucker"))
+    assert 0.05 < funnel < 0.75 * pucker
+
+
+def test_hissing_shows_the_teeth():
+    high = butter(4, 4000.0, "highpass", fs=RATE, output="sos")
+    voice, hiss = voiced(3.0), 0.7 * sosfilt(high, noise(3.0))
+    vowels, hissed = (face_of(wave(part)) for part in (voice, voice + hiss))
+    teeth = [face.channel("mouthStretchLeft").mean() for face in (vowels, hissed)]
+    assert teeth[0] < 0.01 and 0.02 < teeth[1] < 0.2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_mouth_opens_and_closes_with_the_sound(method):
+    burst = voiced(1.0)
+    sound = wave(np.tile([*np.zeros(RATE), *burst], 3))
+    face = face_from_speech(sound, 100.0, 600, method)
+    said = np.tile([*np.zeros(100), *burst.reshape(100, -1).any(axis=1)], 3)
+    r = [np.corrcoef(np.roll(said, lag), opening(face))[0, 1] for lag in range(-20, 21)]
+    assert abs(np.argmax(r) - 20) <= 5
 
 
 def test_long_sounds_are_analysed_in_pieces_without_seams():
@@ -79,6 +99,18 @@ def test_long_sounds_are_analysed_in_pieces_without_seams():
     sound = wave(voiced(8.0), np.zeros(2 * RATE), voiced(12.0))
     spoken = opening(face_of(sound, "phones")) > 0.05
     assert spoken[:240].mean() > 0.1 and not spoken[250:295].any() and spoken[600:].mean() > 0.1
+
+
+def test_words_late_in_a_long_sound_move_the_lips_as_they_do_alone():
+    """Sound over 20 s is cut where it is quiet; here at two of three repetitions."""
+    words = af.Wave.load(bundled_speech(), start=1.0, duration=3.0).resample(RATE).samples
+    pause = np.zeros(8 * RATE, np.float32)
+    alone = opening(face_of(af.Wave(words, RATE), "phones"))
+    many = np.concatenate([pause[:RATE], words, pause, words, pause, words, pause])
+    jaw = opening(face_of(af.Wave(many, RATE), "phones"))
+    for first in (30, 360, 690):
+        assert np.corrcoef(jaw[first : first + 90], alone)[0, 1] > 0.9
+    assert max(jaw[150:345].max(), jaw[480:675].max()) < 0.01
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -107,6 +139,7 @@ def test_people_blink_10_to_25_times_a_minute_and_close_lids_faster_than_they_op
         counts = np.bincount((times // 60).astype(int), minlength=3)
         assert (counts >= 10).all() and (counts <= 25).all(), counts
         assert lids.max() > 0.95
+        assert 12 < closed.sum() / len(times) < 18  # hundredths of a second
         rising, falling = ((np.diff(lids) * way > 0).sum() for way in (1, -1))
         assert 1.5 * rising < falling
         gaps = np.diff(times)
@@ -129,6 +162,15 @@ def test_gaze_jumps_both_eyes_together_by_small_angles():
     assert min(up.max(), down.max()) > 0.02 and not ((up > 0) & (down > 0)).any()
     still = abs(np.diff(look)) < 1e-9
     assert 0.85 < still.mean() < 0.99
+    assert abs(np.corrcoef(look, up - down)[0, 1]) < 0.5
+
+
+def test_a_jump_of_the_gaze_takes_25_to_60_ms():
+    face = face_from_speech(wave(voiced(60.0)), 100.0, 6000)
+    look = face.channel("eyeLookInLeft") - face.channel("eyeLookOutLeft")
+    moves = np.diff(np.pad((abs(np.diff(look)) > 1e-6).astype(int), 1))
+    lengths = np.flatnonzero(moves == -1) - np.flatnonzero(moves == 1)
+    assert len(lengths) > 20 and lengths.min() >= 2 and lengths.max() <= 6
 
 
 def test_a_stream_gives_the_same_frames_for_blocks_of_any_size_within_its_delay():
@@ -187,6 +229,22 @@ def test_a_closure_is_seen_however_short_and_however_slow_the_frames():
         phones = [Phone("AA", 0.0, start), Phone("P", start, start + 0.02), Phone("AA", 0.6, 1.2)]
         mouth = FaceTrack(SHAPES, mouth_of_phones(phones, np.ones(120), hold=1.2 / 10.0))
         assert opening(mouth)[::10].min() < 0.02
+
+
+def test_lips_close_within_50_ms_and_press_while_they_are_closed():
+    """By hand: the smoothstep 3 x² - 2 x³ is 0.104 at 1/5 of the 0.05 s before and after."""
+    mouth = mouth_of_phones([Phone("P", 0.5, 0.62)], np.ones(120), hold=0.04)
+    press = mouth[[44, 46, 50, 61, 65, 67], SHAPES.index("mouthPress")]
+    np.testing.assert_allclose(press, 0.3 * np.array([0, 0.104, 1, 1, 0.104, 0]), atol=1e-6)
+
+
+def test_lips_move_from_150_ms_before_sound_until_150_ms_after_it():
+    """A click at 1.0 s: half of a round mouth's pucker is seen at 0.845 and 1.155 s."""
+    click = (np.arange(200) == 100).astype(float)
+    mouth = mouth_of_phones([Phone("UW", 0.0, 2.0)], click, hold=0.04)
+    pucker = mouth[:, SHAPES.index("mouthPucker")]
+    assert (pucker > 0.5 * pucker[100]).nonzero()[0][[0, -1]].tolist() == [85, 115]
+    assert pucker[100] > 0.5 and max(pucker[60], pucker[140]) < 1e-3
 
 
 def test_phones_move_the_mouth_as_far_as_the_sound_is_loud():

@@ -157,6 +157,12 @@ def test_a_figure_has_all_channels_by_name(gesture, tmp_path, body):
     named = [mesh for mesh in written["meshes"] if "extras" in mesh]
     assert [mesh["extras"] for mesh in named] == [{"targetNames": list(names)}]
     assert all(len(each["targets"]) == 3 for each in named[0]["primitives"])
+    views, accessors = written["bufferViews"], written["accessors"]
+    for part in (part for mesh in written["meshes"] for part in mesh["primitives"]):
+        if "indices" in part:  # numbers of WebGL's kinds of arrays
+            used = [*part["attributes"].values(), part["indices"]]
+            kinds = [views[accessors[k]["bufferView"]].get("target") for k in used]
+            assert {*kinds[:-1]} == {34962} and kinds[-1] == 34963
     assert len(written["scenes"][0]["nodes"]) == len(written["meshes"]) + 1
     assert written["animations"][0]["extras"]["face"] == "rules"
     with_face(gesture(1.0), names, *rows).save(tmp_path / "b.glb")
@@ -257,6 +263,13 @@ def test_a_vrm_animation_has_expressions_as_specified(gesture, tmp_path):
         np.stack([again.face.channel(name) for name in names], 1), motion.face.values, atol=1e-7
     )
     assert set(again.face.names) == set(names)  # and no presets that were made of these
+
+
+def test_a_face_that_the_file_holds_is_not_said_to_be_lost(gesture, tmp_path, gesturekit):
+    with_face(gesture(0.1), ("jawOpen",), [0.5]).save(tmp_path / "a.npz")
+    for name in ("a.vrma", "a.glb"):
+        done = gesturekit("convert", tmp_path / "a.npz", tmp_path / name).ok()
+        assert "holds no" not in done.err
 
 
 def test_expressions_of_other_programs_are_no_joints(tmp_path):

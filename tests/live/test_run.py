@@ -23,10 +23,12 @@ from websockets.sync.client import connect
 
 from audio_features import Wave
 from gesturekit import systems
+from gesturekit.face import EnergyFace
 from gesturekit.live import FileSource, Recording, Report, Step, run
 from gesturekit.live.session import Session
 from gesturekit.live.sources import Block, PipeSource
 from gesturekit.motion import Motion
+from gesturekit.viewer.human import Human
 
 MAIN = """
 import sys, loud, gesturekit.systems
@@ -341,10 +343,11 @@ def test_a_program_beside_gets_the_frames_of_a_file(live, write_speech, tmp_path
 
 
 @bundled
-def test_a_file_starts_when_its_page_is_open(write_speech, tmp_path):
+@pytest.mark.parametrize("face", ["energy", "off"])
+def test_a_file_starts_when_its_page_is_open(write_speech, tmp_path, face):
     speech, said = write_speech(tmp_path / "a.wav", 0.5), queue.Queue()
     about = {"look_ahead": 0.2, "seed": 0, "fast": False, "block": 0.04, "rate": 16_000}
-    about |= {"host": "127.0.0.1", "port": 0, "body": "mannequin", "say": said.put}
+    about |= {"host": "127.0.0.1", "port": 0, "face": face, "say": said.put}
     session = Session(source=str(speech), sinks=("page",), **about)
     report = Report(begun=0.0)
     thread = threading.Thread(target=session.run, args=(LoudModel, report, threading.Event()))
@@ -357,7 +360,11 @@ def test_a_file_starts_when_its_page_is_open(write_speech, tmp_path):
     assert '"audio":' in page and '"n_joints":' in page
     assert answer.getheader("X-Content-Type-Options") == "nosniff"
     with connect(f"ws://127.0.0.1:{port}/stream") as client:
-        times = [np.frombuffer(message[:8])[0] for message in client]
+        messages = list(client)
+    times = [np.frombuffer(message[:8])[0] for message in messages]
+    # A frame has its time and lag, a position, rotations and the face's channels.
+    n_channels = (len(messages[0]) - 16) // 4 - 3 - 4 * Human.load().skeleton.n_joints
+    assert n_channels == (len(EnergyFace.names) if face == "energy" else 0)
     np.testing.assert_allclose(times, np.arange(15) / 30, atol=1e-9)
     thread.join(20)
     assert not thread.is_alive() and report.frames == 15

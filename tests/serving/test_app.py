@@ -86,6 +86,8 @@ def test_a_wav_gives_the_motion_that_the_model_makes(client, model, tmp_path):
         ("?a=1&b=2&c=3&d=4&e=5&f=6", wav(), 422, "e: "),
         ("?item=" + "a" * 2000, wav(), 422, "item"),
         ("?style=old", wav(), 422, "style"),
+        ("?face=phones&transcript=" + "a" * 4001, wav(), 422, "transcript: "),
+        ("?transcript=" + "a " * 2000, wav(), 422, "face='phones'"),
         ("?path=/etc/passwd", wav(), 422, "path"),
         ("?fps=801&format=html", wav(5.0), 422, "4000"),
         ("?smooth=nan", wav(), 422, "smooth"),
