@@ -74,12 +74,11 @@ def write_summary(out: Path, status: Status, path: Path) -> None:
 def faces_in_words(results: Iterable[Result]) -> str:
     """Return how many results have faces by rules, and what these were made from; "" for none."""
     files = (next(iter(result.made.values()), {}) for result in results)
-    settings = [made for file in files if "face" in (made := file.get("made_with", {}))]
-    given = [made["face"] == "phones" and "transcript" in made for made in settings]
-    ways = Counter(
-        made["face"] + (", with a transcript given" if text else "")
-        for made, text in zip(settings, given)
-    )
+    ways: Counter[str] = Counter()
+    for made in (file.get("made_with", {}) for file in files):
+        if way := made.get("face"):
+            given = way == "phones" and "transcript" in made
+            ways[f"{way}, with a transcript given" if given else way] += 1
     parts = [f"{counted(count, 'item')} from {way}" for way, count in sorted(ways.items())]
     return f"Faces by rules, not recorded: {', '.join(parts)}" if parts else ""
 

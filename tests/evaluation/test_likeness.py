@@ -183,7 +183,7 @@ def test_takes_left_out_and_the_levels_of_likeness(talk, tmp_path):
 def test_clips_stand_for_takes_where_these_are_few_and_pieces_of_a_single_clip(
     talk, tmp_path, takes, clips, names, count
 ):
-    """Of the take without clips, there are two pieces, as of the other one."""
+    """Each take gives two pieces, the one without clips too."""
     real = [talk(k, seconds=24.0 if take == "b" else 12.0) for k, take in enumerate(takes)]
     result = measured(tmp_path, real, real[:clips], takes=takes)
     (group,) = result.groups

@@ -14,7 +14,7 @@ TIMES = np.arange(100) / FPS
 
 
 def test_agreement_by_hand():
-    """Of two sines of 1 Hz in 4 s, one is late by 0.12 s: r = cos(0.24 π) = 0.7290.
+    """Two sines of 1 Hz in 4 s, one of them late by 0.12 s: r = cos(0.24 π) = 0.7290.
 
     Shifts of 1.04 to 2.96 s are two periods of r without one value of 0.7290: mean -0.7290 / 49.
     """
@@ -29,7 +29,7 @@ def test_agreement_by_hand():
 
 
 def test_three_seconds_are_enough_and_lags_end_at_three_tenths_of_a_second():
-    """Of noise at 30 frames per second, 9 frames are 0.3 s; a hundredth of a permille moves."""
+    """Nine frames of noise at 30 fps are 0.3 s; an opening of 1e-3 is movement."""
     noise = np.random.default_rng(0).random(99)
     for frames, lag in ((-9, -0.3), (0, 0.0), (9, 0.3)):
         late = 1e-3 * np.roll(noise, frames)

@@ -232,7 +232,7 @@ def test_a_closure_is_seen_however_short_and_however_slow_the_frames():
 
 
 def test_lips_close_within_50_ms_and_press_while_they_are_closed():
-    """By hand: the smoothstep 3 x² - 2 x³ is 0.104 at 1/5 of the 0.05 s before and after."""
+    """The smoothstep 3 x² - 2 x³ is 0.104 at 1/5 of the 0.05 s before and after."""
     mouth = mouth_of_phones([Phone("P", 0.5, 0.62)], np.ones(120), hold=0.04)
     press = mouth[[44, 46, 50, 61, 65, 67], SHAPES.index("mouthPress")]
     np.testing.assert_allclose(press, 0.3 * np.array([0, 0.104, 1, 1, 0.104, 0]), atol=1e-6)
@@ -304,8 +304,8 @@ def benchmark():
 
 
 def test_lips_close_where_a_voice_says_p_b_and_m(benchmark):
-    told = benchmark.lips("en-us", "phones", True, None)
-    assert told["p, b, m"][0] > 0.8 and told["vowels"][0] < 0.25 and told["pauses"][0] == 1.0
+    closed = benchmark.lips("en-us", "phones", True, None)
+    assert closed["p, b, m"][0] > 0.8 and closed["vowels"][0] < 0.25 and closed["pauses"][0] == 1.0
 
 
 @pytest.mark.stress
