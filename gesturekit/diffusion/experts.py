@@ -38,7 +38,7 @@ from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
 from gesturekit.errors import ModelError
-from gesturekit.state.files import mood_seed
+from gesturekit.state.process import mood_seed
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from gesturekit.model import Inputs, MotionStream, build_controls, document_cont
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.channels import StateChannels
-from gesturekit.state.files import load_state, state_values
+from gesturekit.state.process import load_state, state_values
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces
 from gesturekit.training.seeds import checked_item, checked_seed

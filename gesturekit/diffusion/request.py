@@ -31,7 +31,7 @@ from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.postprocess import Placement
-from gesturekit.state.files import given_state
+from gesturekit.state.process import given_state
 from gesturekit.training.clips import InbetweenClips
 from gesturekit.training.own_rig import on_rig, pose_on_rig
 

@@ -36,8 +36,8 @@ from gesturekit.multires.retrieval import (
 from gesturekit.multires.sampler import Sampler
 from gesturekit.multires.stream import MultiresStream
 from gesturekit.state.channels import StateChannels
-from gesturekit.state.files import load_state, state_values
-from gesturekit.state.live import AheadPrediction, live_rows
+from gesturekit.state.prediction import AheadPrediction, live_rows
+from gesturekit.state.process import load_state, state_values
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.features import conditioner_values, load_conditioner
 from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces

@@ -20,7 +20,7 @@ from gesturekit.multires.conditions import level_range, requested_styles
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.keyframes import fit_keyframes, full_frames
 from gesturekit.postprocess import Placement
-from gesturekit.state.files import given_state
+from gesturekit.state.process import given_state
 from gesturekit.training.clips import InbetweenClips
 from gesturekit.training.own_rig import pose_on_rig
 from gesturekit.training.seeds import rng_for

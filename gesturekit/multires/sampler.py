@@ -26,7 +26,7 @@ from gesturekit.multires.pyramid import Pyramid
 from gesturekit.multires.request import Request
 from gesturekit.multires.retrieval import PieceSequence, played_passive, played_pieces
 from gesturekit.postprocess import lock_feet, smooth_motion
-from gesturekit.state.files import mood_seed
+from gesturekit.state.process import mood_seed
 from gesturekit.training.clips import mixed_motions
 from gesturekit.training.seeds import rng_for
 

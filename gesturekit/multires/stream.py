@@ -36,8 +36,8 @@ from gesturekit.multires.stream_window import (
     WindowLevels,
 )
 from gesturekit.postprocess.feet import feet_of_legs
-from gesturekit.state.files import mood_seed
-from gesturekit.state.live import AheadPrediction, FeatureWindow
+from gesturekit.state.prediction import AheadPrediction, FeatureWindow
+from gesturekit.state.process import mood_seed
 from gesturekit.training.seeds import checked_item, checked_seed, rng_for
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from gesturekit.multires.networks import Film
 from gesturekit.multires.pyramid import halo, mixed_carriers
 from gesturekit.multires.retrieval import Resumable
 from gesturekit.state.channels import averaged
-from gesturekit.state.live import AVERAGED_SECONDS, FeatureWindow
+from gesturekit.state.prediction import AVERAGED_SECONDS, FeatureWindow
 from gesturekit.state.process import Group, StateProcess
 
 if TYPE_CHECKING:

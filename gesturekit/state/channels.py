@@ -8,7 +8,6 @@ depends on where the body faces, and no motion can be rebuilt from them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -37,7 +36,6 @@ _FACING_SECONDS = 1.0
 _OF_HAND = ("movement", "height", "side", "forward", "width", "fast")
 
 
-@dataclass(frozen=True)
 class StateChannels:
     """The C channels of a rig.
 
@@ -50,99 +48,72 @@ class StateChannels:
 
     A rig without known arms has the movement and the fast channel of all its joints.
 
-    Attributes:
+    Args:
         hands: the joints of the left and of the right hand, as indices of the modelled joints; all
             joints as one group where the arms are not known or not modelled.
         trunk: index of the joint that carries both arms; None without.
         shoulders: indices of the left and of the right shoulder, which tell where the body faces;
             empty where the arms are not known.
         head: index of the head; None where it is not known or not modelled.
+
+    Attributes:
+        names: names of the channels.
+        fast: (C,) bool, True for fast channels.
+        movement: (C,) bool, True for channels of slow movement.
+        of_hands: (H,) the channel of slow movement that belongs to each fast channel.
+        held: the slow channels of each hand, which a network gets in the time of its movement.
+        counts: (C,) weight of each channel in losses: 4 for a fast one, 1 for a slow one. Otherwise
+            the few fast channels are lost among the slow ones, which are easier to obey.
+        n_carriers: 4 H, see `StateProcess.carriers`.
+        width: C + H + 4 H, the channels of `StateProcess.condition`.
     """
 
-    hands: tuple[tuple[int, ...], ...]
-    trunk: int | None
-    shoulders: tuple[int, ...] = ()
-    head: int | None = None
+    def __init__(
+        self,
+        hands: Sequence[tuple[int, ...]],
+        trunk: int | None = None,
+        shoulders: Sequence[int] = (),
+        head: int | None = None,
+    ) -> None:
+        self.hands, self.trunk, self.shoulders, self.head = hands, trunk, shoulders, head
+        # Parts of the body of which only the movement is a channel, and their joints.
+        parts = (("trunk", trunk), ("head", head))
+        self._others = [(name, joint) for name, joint in parts if joint is not None]
+        names = ["movement", "fast"]
+        if len(hands) == 2:
+            names = [f"{side} {name}" for side in SIDES for name in _OF_HAND]
+            names += ["coupling", *(f"{name} movement" for name, _ in self._others)]
+        self.names = tuple(names)
+        self.fast = np.array([name.endswith("fast") for name in names])
+        self.movement = np.array([name.endswith("movement") for name in names])
+        self.of_hands = np.flatnonzero(self.movement)[: len(hands)]
+        self.held = [np.arange(*ends) for ends in zip(self.of_hands, np.flatnonzero(self.fast))]
+        self.counts = np.where(self.fast, 4.0, 1.0)
+        self.n_carriers = CARRIERS * len(hands)
+        self.width = len(names) + len(hands) + self.n_carriers
 
     @classmethod
     def find(cls, skeleton: Skeleton, joints: Sequence[str]) -> StateChannels:
         """Return the channels of a rig with these modelled joints."""
-        whole = cls((tuple(range(len(joints))),), None)
+        whole = cls([tuple(range(len(joints)))])
         try:
             body = find_parts(skeleton)
         except MotionError:
             return whole
-        arms = body.arms
-        hands = []
-        for side in SIDES:
-            known = [name for name in (arms[side].wrist, arms[side].elbow) if name in joints]
-            if not known or arms[side].shoulder not in joints:
+        arms, hands = [body.arms[side] for side in SIDES], []
+        for arm in arms:
+            known = [name for name in (arm.wrist, arm.elbow) if name in joints]
+            if not known or arm.shoulder not in joints:
                 return whole
             hands.append((joints.index(known[0]),))
-        above = [set(skeleton.ancestors(skeleton.index(arms[side].shoulder))) for side in SIDES]
+        above = [set(skeleton.ancestors(skeleton.index(arm.shoulder))) for arm in arms]
         trunk = [j for j in above[0] & above[1] if j and skeleton.names[j] in joints]
-        shoulders = tuple(joints.index(arms[side].shoulder) for side in SIDES)
         return cls(
-            tuple(hands),
+            hands,
             joints.index(skeleton.names[max(trunk)]) if trunk else None,
-            shoulders,
+            [joints.index(arm.shoulder) for arm in arms],
             joints.index(body.head) if body.head in joints else None,
         )
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the channels."""
-        if len(self.hands) == 1:
-            return "movement", "fast"
-        names = [f"{side} {name}" for side in SIDES for name in _OF_HAND]
-        return (*names, "coupling", *(f"{name} movement" for name, _ in self._others))
-
-    @property
-    def _others(self) -> list[tuple[str, int]]:
-        """Parts of the body of which only the movement is a channel, and their joints."""
-        parts = (("trunk", self.trunk), ("head", self.head))
-        return [(name, joint) for name, joint in parts if joint is not None]
-
-    @property
-    def n_carriers(self) -> int:
-        """4 H, see `StateProcess.carriers`."""
-        return CARRIERS * len(self.hands)
-
-    @property
-    def width(self) -> int:
-        """C + H + 4 H, the channels of `StateProcess.condition`."""
-        return len(self.names) + len(self.hands) + self.n_carriers
-
-    @property
-    def fast(self) -> np.ndarray:
-        """(C,) bool, True for fast channels."""
-        return np.array([name.endswith("fast") for name in self.names])
-
-    @property
-    def counts(self) -> np.ndarray:
-        """(C,) weight of each channel in losses: 4 for a fast one, 1 for a slow one.
-
-        Otherwise the few fast channels are lost among the slow ones, which are easier to obey.
-        """
-        return np.where(self.fast, 4.0, 1.0)
-
-    @property
-    def movement(self) -> np.ndarray:
-        """(C,) bool, True for channels of slow movement."""
-        return np.array([name.endswith("movement") for name in self.names])
-
-    @property
-    def of_hands(self) -> np.ndarray:
-        """(H,) the channel of slow movement that belongs to each fast channel."""
-        return np.flatnonzero(self.movement)[: len(self.hands)]
-
-    @property
-    def held(self) -> list[np.ndarray]:
-        """The slow channels of each hand, which a network gets in the time of its movement."""
-        return [
-            np.arange(movement, fast)
-            for movement, fast in zip(self.of_hands, np.flatnonzero(self.fast))
-        ]
 
     def __call__(self, places: Tensor, fps: float) -> Tensor:
         """Return the channels (B, C, T).
@@ -154,7 +125,10 @@ class StateChannels:
         places = places - places[:, :1]
         groups = [*self.hands, *((joint,) for _, joint in self._others)]
         moving = sorted({joint for group in groups for joint in group})
-        velocity = _smoothed(_gradient(places[:, moving]) * fps, _SPEED_SECONDS * fps)
+        moved = places[:, moving]
+        # A single frame does not move.
+        steps = torch.gradient(moved, dim=-1)[0] if moved.shape[-1] > 1 else 0 * moved
+        velocity = _smoothed(steps * fps, _SPEED_SECONDS * fps)
         speed = dict(zip(moving, (velocity.square().sum(dim=2) + _TINY).sqrt().unbind(dim=1)))
         speeds = [torch.stack([speed[joint] for joint in group]).mean(dim=0) for group in groups]
         logarithms, n_hands = torch.log(torch.stack(speeds, dim=1) + SPEED_FLOOR), len(self.hands)
@@ -175,7 +149,10 @@ class StateChannels:
             rows.append(fast[:, hand] - movement[:, hand])
         if n_hands == 2:
             left, right = (velocity[:, moving.index(hand[0]), 1] for hand in self.hands)
-            rows.append(_coupling(left, right, fps))
+            products = torch.stack([left.square(), right.square(), left * right], dim=1)
+            *powers, both = _smoothed(products, _COUPLED_SECONDS * fps).unbind(dim=1)
+            floor = _COUPLED_SPEED**2
+            rows.append(both / ((powers[0] + floor) * (powers[1] + floor)).sqrt())
         rows += movement[:, n_hands:].unbind(dim=1)
         return torch.stack(rows, dim=1)
 
@@ -187,8 +164,6 @@ class StateChannels:
         if len(self.hands) == 1:
             return places[:, :0, 0]
         hands = [places[:, joints[0]] for joints in self.hands]
-        if not self.shoulders:
-            return torch.cat(hands, dim=1)
         left, right = (places[:, joint] for joint in self.shoulders)
         across = _smoothed((left - right)[:, ::2], _FACING_SECONDS * fps)
         x, z = (across / (across.square().sum(dim=1, keepdim=True) + _TINY).sqrt()).unbind(dim=1)
@@ -218,19 +193,6 @@ def averaged(
     low = np.minimum(at.astype(int), needed.shape[-1] - 1)
     sums = total[..., low] + (at - low) * (total[..., low + 1] - total[..., low])
     return (np.diff(sums) / np.diff(edges)).astype(values.dtype)
-
-
-def _coupling(left: Tensor, right: Tensor, fps: float) -> Tensor:
-    """Return the local correlation (B, T) of two velocities (B, T)."""
-    products = torch.stack([left.square(), right.square(), left * right], dim=1)
-    *powers, both = _smoothed(products, _COUPLED_SECONDS * fps).unbind(dim=1)
-    floor = _COUPLED_SPEED**2
-    return both / ((powers[0] + floor) * (powers[1] + floor)).sqrt()
-
-
-def _gradient(x: Tensor) -> Tensor:
-    """Return central differences (..., T) per frame; 0 for a single frame."""
-    return torch.gradient(x, dim=-1)[0] if x.shape[-1] > 1 else torch.zeros_like(x)
 
 
 def _smoothed(x: Tensor, sigma: float) -> Tensor:

@@ -8,20 +8,21 @@ standard deviation for each standard deviation of the prediction. What it leaves
 
 A few features replace many that predict hardly better, since few features generalise better to
 unseen voices.
+
+While speech is spoken its future is unknown. Without the later features the regressions would lose
+much of what they know, so that a separate pair is fitted for each look-ahead.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
-from torch import Tensor
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +40,7 @@ _RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _FOLDS = 4
 _LEAST_TAKES, _MOST_FOLDS = 3, 8
 """Least number of takes for a cross-validation over whole takes; its largest number of folds."""
-GAP_SECONDS = 6.0
+_GAP_SECONDS = 6.0
 """Left out beside a part of a recording, as slow movement is correlated over several seconds."""
 _WITHIN_TAKE = 0.5
 """Factor on the correlation of the slow part if it was found on left-out parts of one or two takes.
@@ -58,10 +59,12 @@ _HARDLY_BETTER = 0.03
 """A larger set of speech features has to raise the out-of-fold correlation by more than this."""
 
 
-_REGRESSION = ("mean", "weights", "offset", "r")
-_FACTORS = ("mean_counts", "spread", "across_takes")
-_ARRAYS = ("fast_basis", "slow_basis", "voices")
-_MOST_SPREAD = 1e4
+LOOK_AHEADS = (0.0, 0.1, 0.2, 0.4)
+"""Seconds of sound after a frame for which predictions of live speech are fitted."""
+AVERAGED_SECONDS = (2.0, 8.0)
+"""Time constants of the running means of live features."""
+_LIVE_BINS = 4
+"""Live features are averaged over this many bins, the last of which ends with the last frame."""
 
 
 def slow_part(curves: np.ndarray, fps: float) -> np.ndarray:
@@ -112,26 +115,13 @@ class Regression:
             _ridge(x[::every] - mean, y[::every])[:, best] / size,
             float((offset - curve.mean()) / size),
             scores[best],
-            _limited((curve - curve.mean()) / size),
+            np.clip((curve - curve.mean()) / size, -_FURTHEST, _FURTHEST),
         )
-
-    def tensors(self, where: str) -> dict[str, Tensor]:
-        """Return what `load` reads, by names that begin with `where`."""
-        return {f"{where}.{name}": _tensor(getattr(self, name)) for name in _REGRESSION}
-
-    @classmethod
-    def load(cls, tensors: Mapping[str, Tensor], where: str) -> Regression:
-        """Read what `tensors` returned."""
-        mean, weights, offset, r = (tensors[f"{where}.{name}"].numpy() for name in _REGRESSION)
-        return cls(mean, weights, float(offset), float(r))
 
     def __call__(self, inputs: np.ndarray) -> np.ndarray:
         """Return the predicted curve (T,) from inputs (T, P), in standard deviations."""
-        return _limited((inputs - self.mean) @ self.weights + self.offset)
-
-
-def _limited(predictions: np.ndarray) -> np.ndarray:
-    return np.clip(predictions, -_FURTHEST, _FURTHEST)
+        predictions = (inputs - self.mean) @ self.weights + self.offset
+        return np.clip(predictions, -_FURTHEST, _FURTHEST)
 
 
 def _ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -249,7 +239,7 @@ class WantedMovement:
         fast = [movement - slow_part(movement, fps) for movement in movements]
         lengths = [len(movement) for movement in movements]
         takes = takes or [""] * len(lengths)
-        folds = folds_of(lengths, takes, round(GAP_SECONDS * fps))
+        folds = folds_of(lengths, takes, round(_GAP_SECONDS * fps))
         effort = tuple(effort)
         bases = _bases(speeches, effort, smaller)
         of_fast, fast_basis = _best(speeches, fast, folds, bases, partial(fast_inputs, fps=fps))
@@ -279,38 +269,6 @@ class WantedMovement:
         )
         log.info("Hand movement predicted from speech: %s.", wanted.summary())
         return wanted
-
-    def values(self) -> dict[str, Any]:
-        """Return the plain values of a model folder."""
-        return {"effort": list(self.effort), **{name: getattr(self, name) for name in _FACTORS}}
-
-    def tensors(self, where: str) -> dict[str, Tensor]:
-        """Return the tensors of a model folder, by names that begin with `where`."""
-        arrays = {f"{where}.{name}": _tensor(getattr(self, name)) for name in _ARRAYS}
-        return arrays | self.fast.tensors(f"{where}.fast") | self.slow.tensors(f"{where}.slow")
-
-    @classmethod
-    def load(
-        cls, values: Mapping[str, Any], tensors: Mapping[str, Tensor], where: str, fps: float
-    ) -> WantedMovement:
-        """Read what `values` and `tensors` returned.
-
-        Raises:
-            ValueError: values out of range.
-        """
-        for name, most in (("mean_counts", 1.0), ("spread", _MOST_SPREAD)):
-            if not 0 <= float(values[name]) <= most:
-                raise ValueError(f"{where}: wanted.{name} is {values[name]}, not 0 to {most:g}")
-        return cls(
-            fps=fps,
-            effort=tuple(map(int, values["effort"])),
-            fast=Regression.load(tensors, f"{where}.fast"),
-            slow=Regression.load(tensors, f"{where}.slow"),
-            mean_counts=float(values["mean_counts"]),
-            spread=float(values["spread"]),
-            across_takes=bool(values["across_takes"]),
-            **{name: tensors[f"{where}.{name}"].numpy() for name in _ARRAYS},
-        )
 
     @property
     def trust(self) -> float:
@@ -397,25 +355,20 @@ def slow_inputs(speech: np.ndarray, basis: np.ndarray, fps: float) -> np.ndarray
 
 
 def _best(
-    speeches: Sequence[np.ndarray],
+    speeches: Sequence[Any],
     curves: Sequence[np.ndarray],
     folds: Folds,
     bases: Sequence[np.ndarray],
-    inputs: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    inputs: Callable[[Any, np.ndarray], np.ndarray],
 ) -> tuple[Regression, np.ndarray]:
     """Return the regression of the last of the bases that predicts about as well as the best."""
     fitted = [
         Regression.fit([inputs(speech, basis) for speech in speeches], curves, folds)
         for basis in bases
     ]
-    used = nearly_best(fitted)
-    return fitted[used], bases[used]
-
-
-def nearly_best(fitted: Sequence[Regression]) -> int:
-    """Return the number of the last regression that predicts about as well as the best."""
     enough = max(regression.r for regression in fitted) - _HARDLY_BETTER
-    return [k for k, regression in enumerate(fitted) if regression.r >= enough][-1]
+    used = [k for k, regression in enumerate(fitted) if regression.r >= enough][-1]
+    return fitted[used], bases[used]
 
 
 def _steadied(
@@ -476,5 +429,99 @@ def _bases(
     return [largest, *(basis for basis in chosen if 0 < basis.shape[1] < len(others))]
 
 
-def _tensor(value: Any) -> Tensor:
-    return torch.from_numpy(np.array(value, dtype=np.float64))
+@dataclass(frozen=True, eq=False)
+class FeatureWindow:
+    """Speech features up to now.
+
+    Attributes:
+        rows: (W, S) the last rows.
+        averages: (2, S) running means, see `AVERAGED_SECONDS`.
+    """
+
+    rows: np.ndarray
+    averages: np.ndarray
+
+
+def last_bins(speech: FeatureWindow, fps: float) -> np.ndarray:
+    """Return (5, S): the features' running mean, and their means in bins relative to it."""
+    width = max(1, round(_BIN_SECONDS * fps))
+    rows = speech.rows[-_LIVE_BINS * width :].reshape(_LIVE_BINS, width, -1).mean(axis=1)
+    return np.concatenate([speech.averages[:1], rows - speech.averages[0]])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AheadPrediction:
+    """Regressions of fast and slow movement for one look-ahead.
+
+    Attributes:
+        look_ahead: seconds.
+        fast_columns: of the speech features, for the fast part.
+        slow_columns: of the speech features, for the slow part.
+        fast: from the values of `last_bins`.
+        slow: from `FeatureWindow.averages`.
+    """
+
+    look_ahead: float
+    fast_columns: np.ndarray
+    slow_columns: np.ndarray
+    fast: Regression
+    slow: Regression
+
+    @classmethod
+    def fit(
+        cls,
+        look_ahead: float,
+        speeches: Sequence[Sequence[FeatureWindow]],
+        fast: Sequence[np.ndarray],
+        slow: Sequence[np.ndarray],
+        takes: Sequence[str],
+        wanted: WantedMovement,
+        columns: Sequence[Sequence[int]],
+        rate: float,
+    ) -> AheadPrediction:
+        """Fit to recordings, sampled at any times.
+
+        Args:
+            look_ahead: seconds.
+            speeches: what was known of each recording at each of its sampled times.
+            fast: fast part of movement, log m/s, at each of these times.
+            slow: normal scores of the slow part.
+            takes: take of each recording.
+            wanted: regressions of the whole sound.
+            columns: sets of columns for the fast part, the largest first.
+            rate: samples per second.
+        """
+        folds = folds_of([len(curve) for curve in fast], takes, round(_GAP_SECONDS * rate))
+        fast_sets = [np.array(numbers) for numbers in columns if len(numbers)]
+        slow_sets = [np.array([*numbers, *wanted.effort], int) for numbers in fast_sets]
+
+        def bins(windows: Sequence[FeatureWindow], numbers: np.ndarray) -> np.ndarray:
+            return np.stack([last_bins(each, wanted.fps)[:, numbers].ravel() for each in windows])
+
+        def averages(windows: Sequence[FeatureWindow], numbers: np.ndarray) -> np.ndarray:
+            return np.stack([each.averages[:, numbers].ravel() for each in windows])
+
+        of_fast, fast_columns = _best(speeches, fast, folds, fast_sets, bins)
+        of_slow, slow_columns = _best(speeches, slow, folds, slow_sets, averages)
+        return cls(look_ahead, fast_columns, slow_columns, of_fast, of_slow)
+
+    def __call__(self, speech: FeatureWindow, wanted: WantedMovement) -> tuple[float, float]:
+        """Return the fast part of movement, log m/s, and the slow part, in standard deviations."""
+        fast = self.fast(last_bins(speech, wanted.fps)[:, self.fast_columns].reshape(1, -1))[0]
+        averages = usual_voice(speech.averages.T, wanted.effort, wanted.voices).T
+        slow = self.slow(averages[:, self.slow_columns].reshape(1, -1))[0]
+        return float(fast * wanted.spread * self.share(wanted)), float(slow)
+
+    def share(self, wanted: WantedMovement) -> float:
+        """Return how much of what the whole sound tells of fast movement is known so early."""
+        return min(1.0, max(self.fast.r, 0.0) / max(wanted.fast.r, 1e-3))
+
+
+def live_rows(ahead: Sequence[AheadPrediction]) -> dict[str, str]:
+    """Return the correlations for live speech by look-ahead, for the README; empty without."""
+    if not ahead:
+        return {}
+    seconds = ", ".join(f"{prediction.look_ahead:g}" for prediction in ahead)
+    fast = ", ".join(f"{prediction.fast.r:.2f}" for prediction in ahead)
+    slow = ", ".join(f"{prediction.slow.r:.2f}" for prediction in ahead)
+    return {"Live": f"with {seconds} s of look-ahead, r = {fast} (calm or lively {slow})"}

@@ -15,18 +15,22 @@ any of them. The state is drawn, for each motion anew (a Gaussian copula):
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr, ndtri
 from scipy.stats import rankdata
+from torch import Tensor
 
 from gesturekit.corpus.speech import SpeechConditioner
+from gesturekit.errors import FormatError, ModelError
 from gesturekit.state.channels import CARRIERS, SPEED_FLOOR, StateChannels
-from gesturekit.state.live import AheadPrediction
 from gesturekit.state.noise import (
     STEP,
     STEPS_OF_TAKE,
@@ -37,7 +41,13 @@ from gesturekit.state.noise import (
     spectral_kernels,
     within_takes,
 )
-from gesturekit.state.prediction import WantedMovement, correlation
+from gesturekit.state.prediction import (
+    AheadPrediction,
+    FeatureWindow,
+    Regression,
+    WantedMovement,
+    correlation,
+)
 
 _SHARES = (np.arange(201) + 0.5) / 201
 """Shares of the quantiles between which recorded values are interpolated."""
@@ -142,37 +152,41 @@ class StateProcess:
             fps: frames per second.
             conditioner: of the speech features; None without speech input.
         """
-        fast, values = channels.fast, [recording.values for recording in recordings]
+        fast, groups = channels.fast, [recording.group for recording in recordings]
+        lengths = [recording.values.shape[1] for recording in recordings]
         silence = np.empty(0) if conditioner is None else conditioner.silence(1)[0].astype(float)
         voices = [_voices(channels, each.speech, silence, fps) for each in recordings]
-        voiced = _voiced(voices, fps)
-        groups = [recording.group for recording in recordings]
-        relative = [_relative(channels, curves) for curves in values]
-        scores = _scores(relative, voiced, groups)
+        active = np.concatenate(voices, axis=1) > 0.5
+        # Where there is little speech or silence, all counts as speech.
+        count = active.sum(axis=1)
+        known = np.minimum(count, active.shape[1] - count) >= _LEAST_SECONDS * fps
+        voiced = active | ~known[:, None]
+        values = np.concatenate([each.values for each in recordings], axis=1)
+        relative = np.concatenate([_relative(channels, each.values) for each in recordings], axis=1)
+        scores = _scores(relative, voiced, np.repeat([*map(groups.index, groups)], lengths))
         wanted, usual, explained, noise = _explained(
             channels, recordings, scores, voiced, fps, conditioner
         )
-        ends = np.cumsum([curves.shape[1] for curves in values])[:-1]
-        parts = np.split(noise / np.maximum(noise.std(axis=1, keepdims=True), 1e-6), ends, axis=1)
+        noise = noise / np.maximum(noise.std(axis=1, keepdims=True), 1e-6)
+        parts = np.split(noise, np.cumsum(lengths)[:-1], axis=1)
         takes = len({recording.take for recording in recordings})
         within, width = within_takes([curves[~fast] for curves in parts], fps)
-        pooled = np.concatenate(values, axis=1)
         return cls(
             channels=channels,
             fps=fps,
             wanted=wanted,
             silence=silence,
-            mean=pooled.mean(axis=1),
-            scale=np.maximum(pooled.std(axis=1), 1e-3),
+            mean=values.mean(axis=1),
+            scale=np.maximum(values.std(axis=1), 1e-3),
             explained=explained,
             usual=usual,
-            mixing=mixing(np.concatenate(parts, axis=1), fast),
+            mixing=mixing(noise, fast),
             between=share_between_takes(within, takes),
             width=width,
-            take=max(pooled.shape[1] / fps / takes, STEP),
+            take=max(values.shape[1] / fps / takes, STEP),
             kernel=spectral_kernels([curves[fast] for curves in parts], fps),
-            quantiles=_quantiles(relative, voiced, groups),
-            response=np.repeat(np.quantile(pooled, _RESPONSE, axis=1).T[None], 2, axis=0),
+            quantiles=_quantiles(relative, voiced, groups, lengths),
+            response=np.repeat(np.quantile(values, _RESPONSE, axis=1).T[None], 2, axis=0),
             followed=np.ones(len(fast)),
         )
 
@@ -258,11 +272,18 @@ class StateProcess:
             liveliness: factor on the speed of slow movement.
             known: (T,) factor on the correlation of fast movement with its prediction.
         """
-        scores = noise
+        scores, is_fast = noise, self.channels.fast[:, None]
         if predicted is not None:
-            explained, means = self._predicted(*predicted, voices[np.argmax(self.channels.fast)])
-            explained = explained * np.where(self.channels.fast[:, None], known, 1.0)
-            scores = explained * means + np.sqrt(1 - explained**2) * scores
+            assert self.wanted is not None
+            (when, slow), (quiet, loud, size) = predicted, self.usual
+            voice = voices[np.argmax(is_fast)]
+            when = when / max(self.wanted.spread, 1e-9) - quiet - (loud - quiet) * voice
+            when = np.clip(when / size, -_FURTHEST, _FURTHEST)
+            # What the network does not follow is lost from the correlation with speech.
+            fast = np.minimum(self.explained / self.followed, _MOST_EXPLAINED)[:, None] * known
+            trusted = self.explained[:, None] * self.wanted.trust
+            explained = np.where(is_fast, fast, trusted)
+            scores = explained * np.where(is_fast, when, slow) + np.sqrt(1 - explained**2) * noise
         quantiles = self.quantiles.get(group, self.quantiles[None, None])
         ranks = ndtr(scores)
         # The recorded value of the same rank for each score.
@@ -273,20 +294,6 @@ class StateProcess:
         values = _absolute(self.channels, quiet + voices * (loud - quiet))
         values[self.channels.movement] += math.log(liveliness)
         return values
-
-    def _predicted(
-        self, when: np.ndarray, slow: np.ndarray, voice: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return how much predictions count, and the predictions in standard deviations, (C, T)."""
-        assert self.wanted is not None
-        quiet, loud, size = self.usual
-        when = when / max(self.wanted.spread, 1e-9) - quiet - (loud - quiet) * voice
-        when = np.clip(when / size, -_FURTHEST, _FURTHEST)
-        is_fast = self.channels.fast[:, None]
-        # What the network does not follow is lost from the correlation with speech.
-        fast = np.minimum(self.explained / self.followed, _MOST_EXPLAINED)
-        counts = np.where(is_fast, fast[:, None], self.explained[:, None] * self.wanted.trust)
-        return counts, np.where(is_fast, when, slow)
 
     def noise(self, seed: int, frames: np.ndarray) -> np.ndarray:
         """Return the noise (C, N) at frames (N,)."""
@@ -358,7 +365,11 @@ class StateProcess:
             clocks = np.cumsum(self.clocks(values), axis=1)
         given = self._asked(values)
         for rows, clock in zip(self.channels.held, clocks):
-            given[rows] = [_in_time_of(row, clock) for row in given[rows]]
+            points = np.arange(math.floor(clock[0]), math.ceil(clock[-1]) + 1.0)
+            for row in rows:  # smoothed in the time of the clock: still where it stands still
+                curve, width = np.interp(points, clock, given[row]), _STROKE_POINTS / 2
+                smooth = gaussian_filter1d(curve, width, mode="nearest")
+                given[row] = np.interp(clock, points, smooth)
         normalised = (given - self.mean[:, None]) / self.scale[:, None]
         held = ~(self.channels.movement | self.channels.fast)
         normalised[held] = np.minimum(normalised[held], _HIGHEST)
@@ -366,7 +377,11 @@ class StateProcess:
 
     def _asked(self, values: np.ndarray) -> np.ndarray:
         """Return the channels (C, T) that a network needs to be given to show these."""
-        return np.stack([_continued(*row) for row in zip(values, *self.response)])
+        curves = []
+        for row, at, curve in zip(values, *self.response):  # piecewise linear; ends have slope 1
+            beyond = np.minimum(row - at[0], 0.0) + np.maximum(row - at[-1], 0.0)
+            curves.append(np.interp(row, at, curve) + beyond)
+        return np.stack(curves)
 
 
 def _relative(channels: StateChannels, values: np.ndarray) -> np.ndarray:
@@ -388,19 +403,6 @@ def _absolute(channels: StateChannels, values: np.ndarray) -> np.ndarray:
     speed = np.maximum(usual * np.exp(values[channels.fast]) - _RELATIVE_FLOOR, 0.0)
     result[channels.fast] = np.log(speed + SPEED_FLOOR) - slow
     return result
-
-
-def _in_time_of(values: np.ndarray, clock: np.ndarray) -> np.ndarray:
-    """Return values (T,) smoothed in the time of a clock (T,): they stand still where it does."""
-    points = np.arange(math.floor(clock[0]), math.ceil(clock[-1]) + 1.0)
-    smooth = gaussian_filter1d(np.interp(points, clock, values), _STROKE_POINTS / 2, mode="nearest")
-    return np.interp(clock, points, smooth)
-
-
-def _continued(values: np.ndarray, at: np.ndarray, curve: np.ndarray) -> np.ndarray:
-    """Return the curve through (at, curve) at values (T,), piecewise linear; ends have slope 1."""
-    beyond = np.minimum(values - at[0], 0.0) + np.maximum(values - at[-1], 0.0)
-    return np.interp(values, at, curve) + beyond
 
 
 def voice_activity(speech: np.ndarray, silence: np.ndarray, fps: float) -> np.ndarray:
@@ -431,104 +433,276 @@ def _voices(
     return result
 
 
-def _voiced(voices: Sequence[np.ndarray], fps: float) -> list[np.ndarray]:
-    """Return (C, T_k) bool, True in speech; everywhere where there is little speech or silence."""
-    active = np.concatenate(voices, axis=1) > 0.5
-    count = active.sum(axis=1)
-    known = np.minimum(count, active.shape[1] - count) >= _LEAST_SECONDS * fps
-    return [(voice > 0.5) | ~known[:, None] for voice in voices]
-
-
 def _explained(
     channels: StateChannels,
     recordings: Sequence[RecordedState],
-    scores: Sequence[np.ndarray],
-    voiced: Sequence[np.ndarray],
+    scores: np.ndarray,
+    voiced: np.ndarray,
     fps: float,
     conditioner: SpeechConditioner | None,
 ) -> tuple[WantedMovement | None, np.ndarray, np.ndarray, np.ndarray]:
     """Return `wanted`, `usual` and `explained` of a process, and the rest of the scores, (C, T)."""
-    fast, noise = channels.fast, np.concatenate(scores, axis=1)
+    fast = channels.fast
     usual, explained = np.array([0.0, 0.0, 1.0]), np.zeros(len(fast))
     if conditioner is None:
-        return None, usual, explained, noise
+        return None, usual, explained, scores
+    ends = np.cumsum([recording.values.shape[1] for recording in recordings])[:-1]
     wanted = WantedMovement.fit(
         [recording.speech for recording in recordings],
         [recording.values[fast].mean(axis=0) for recording in recordings],
-        [curves[channels.of_hands].mean(axis=0) for curves in scores],
+        np.split(scores[channels.of_hands].mean(axis=0), ends),
         fps,
         conditioner.effort,
         (conditioner.acoustic, conditioner.prosody),
         takes=[recording.take for recording in recordings],
     )
     if not wanted.predicts:
-        return None, usual, explained, noise
-    in_speech = np.concatenate([flags[np.argmax(fast)] for flags in voiced])
-    usual, predicted = _predictions(wanted, in_speech)
-    rows = predicted[fast.astype(int)]  # of each channel
-    explained = np.clip((noise * rows).mean(axis=1), -_MOST_EXPLAINED, _MOST_EXPLAINED)
+        return None, usual, explained, scores
+    when, in_speech = wanted.fast.left_out, voiced[np.argmax(fast)]
+    assert when is not None and wanted.slow.left_out is not None
+    loud = when[in_speech].mean()
+    quiet = loud if in_speech.all() else when[~in_speech].mean()
+    when = when - np.where(in_speech, loud, quiet)
+    size = max(when.std(), 1e-6)
+    rows = np.stack([wanted.slow.left_out, when / size])[fast.astype(int)]  # of each channel
+    explained = np.clip((scores * rows).mean(axis=1), -_MOST_EXPLAINED, _MOST_EXPLAINED)
     # A hand that moves less where more was predicted is chance.
     explained[fast] = np.maximum(explained[fast], 0.0)
     trust = np.where(fast, 1.0, wanted.trust)
-    return wanted, usual, explained, noise - (explained * trust)[:, None] * rows
+    noise = scores - (explained * trust)[:, None] * rows
+    return wanted, np.array([quiet, loud, size]), explained, noise
 
 
-def _predictions(wanted: WantedMovement, voiced: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return `StateProcess.usual`, and the predictions of left-out slow and fast movement, (2, T).
+def _scores(values: np.ndarray, voiced: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Return standard normal scores of values (C, T), by rank in each channel.
 
-    `voiced` is (T,) bool, True in speech.
+    Ranks are those among the frames with speech, or without, (C, T) bool, of the same group (T,).
     """
-    assert wanted.fast.left_out is not None and wanted.slow.left_out is not None
-    when = wanted.fast.left_out
-    loud = when[voiced].mean()
-    quiet = loud if voiced.all() else when[~voiced].mean()
-    when = when - np.where(voiced, loud, quiet)
-    size = max(when.std(), 1e-6)
-    return np.array([quiet, loud, size]), np.stack([wanted.slow.left_out, when / size])
-
-
-def _scores(
-    curves: Sequence[np.ndarray], classes: Sequence[np.ndarray], groups: Sequence[object]
-) -> list[np.ndarray]:
-    """Return standard normal scores of curves (C, T_k), by rank in each channel.
-
-    Ranks are those among the frames of the same class (C, T_k), bool, of the same group.
-    """
-    result = [np.empty(curve.shape) for curve in curves]
-    for group in dict.fromkeys(groups):
-        members = [k for k, other in enumerate(groups) if other == group]
-        pooled = np.concatenate([curves[k] for k in members], axis=1)
-        flags = np.concatenate([classes[k] for k in members], axis=1)
-        scores = np.empty(pooled.shape)
-        for row, values, flag in zip(scores, pooled, flags, strict=True):
-            for frames in (flag, ~flag):
+    scores = np.empty(values.shape)
+    for group in np.unique(groups):
+        for row, curve, loud in zip(scores, values, voiced):
+            for frames in (loud & (groups == group), ~loud & (groups == group)):
                 if frames.any():
-                    row[frames] = ndtri((rankdata(values[frames]) - 0.5) / frames.sum())
-        edges = np.cumsum([curves[k].shape[1] for k in members])[:-1]
-        for k, rows in zip(members, np.split(scores, edges, axis=1), strict=True):
-            result[k] = rows
-    return result
+                    row[frames] = ndtri((rankdata(curve[frames]) - 0.5) / frames.sum())
+    return scores
 
 
 def _quantiles(
-    values: Sequence[np.ndarray], voiced: Sequence[np.ndarray], groups: Sequence[Group]
+    values: np.ndarray, voiced: np.ndarray, groups: Sequence[Group], lengths: Sequence[int]
 ) -> dict[Group, np.ndarray]:
-    """Return `StateProcess.quantiles` of values and voice activity (C, T_k)."""
+    """Return `StateProcess.quantiles` of values and voice activity (C, T)."""
     asked: list[Group] = [(None, None)]
     for speaker, style in groups:
         asked += [(speaker, None), (None, style), (speaker, style)]
     result = {}
     for group in dict.fromkeys(asked):
-        members = [
-            k
-            for k, other in enumerate(groups)
-            if all(name in (None, theirs) for name, theirs in zip(group, other, strict=True))
-        ]
-        pooled = np.concatenate([values[k] for k in members], axis=1)
-        loud = np.concatenate([voiced[k] for k in members], axis=1)
-        rows = [
-            [np.quantile(curve[frames if frames.any() else ~frames], _SHARES) for frames in classes]
-            for curve, *classes in zip(pooled, ~loud, loud)
-        ]
+        members = [all(g in (None, of) for g, of in zip(group, other)) for other in groups]
+        chosen, rows = np.repeat(members, lengths), []
+        for curve, loud in zip(values[:, chosen], voiced[:, chosen]):
+            classes = (frames if frames.any() else ~frames for frames in (~loud, loud))
+            rows.append([np.quantile(curve[frames], _SHARES) for frames in classes])
         result[group] = np.stack(rows, axis=1)
     return result
+
+
+def mood_seed(seed: int, controls: Mapping[str, Any]) -> int:
+    """Return the seed of the drawn state of movement: the control of that name, or `seed`."""
+    return seed if controls["mood_seed"] is None else int(controls["mood_seed"])
+
+
+def given_state(process: StateProcess, state: str | Path | np.ndarray, n_frames: int) -> np.ndarray:
+    """Return a state (T, C) of a process, cut to a motion of T frames or held to its end.
+
+    Args:
+        process: of the model.
+        state: (frames, C), or a .npy file of it.
+        n_frames: T.
+
+    Raises:
+        ModelError: a state of another width, empty, or not finite.
+        FormatError: its file cannot be read.
+    """
+    if not isinstance(state, np.ndarray):
+        try:
+            state = np.load(state, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise FormatError(
+                f"{state}: not a .npy file of numbers, as numpy.save writes model.state"
+            ) from error
+    wanted, shape = len(process.channels.names), state.shape
+    is_right = state.dtype.kind in "fiu" and len(shape) == 2 and shape[0] and shape[1] == wanted
+    state = state[:n_frames].astype(float) if is_right else state
+    if not is_right or not np.isfinite(state).all():
+        raise ModelError(
+            f"state: {state.dtype} of shape {shape}, not (frames, {wanted}) finite numbers; as "
+            "model.state returns it"
+        )
+    return np.pad(state, ((0, max(0, n_frames - len(state))), (0, 0)), mode="edge")[:n_frames]
+
+
+_SHAPES: dict[str, tuple[str, ...]] = {
+    "silence": ("S",),
+    "mean": ("C",),
+    "scale": ("C",),
+    "explained": ("C",),
+    "usual": ("3",),
+    "mixing": ("C", "C"),
+    "between": ("C - F",),
+    "width": ("C - F",),
+    "kernel": ("F", "R"),
+    "quantiles": ("G", "2", "C", "Q"),
+    "response": ("2", "C", "P"),
+    "followed": ("C",),
+}
+_RANGES = {
+    "scale": (1e-6, 1e6),
+    "explained": (-1, 1),
+    "mixing": (-2, 2),
+    "between": (0, 1),
+    "width": (0.1, 100),
+    "kernel": (-2, 2),
+    "followed": (0.1, 1),
+    "mean_counts": (0, 1),
+    "spread": (0, 1e4),
+}
+_WIDEST = (-1e6, 1e6)
+_TAKE = (0.1, 1e7)  # seconds; a single take may have hours
+_MOST_POINTS = 1000  # of a filter, and of quantiles
+_OF_REGRESSION = ("mean", "weights", "offset", "r")
+
+
+def state_values(process: StateProcess) -> dict[str, Any]:
+    """Return the plain values of a process."""
+    about, wanted = None, process.wanted
+    if wanted is not None:
+        about = {"effort": list(wanted.effort), "mean_counts": wanted.mean_counts}
+        about |= {"spread": wanted.spread, "across_takes": wanted.across_takes}
+    return {
+        "channels": list(process.channels.names),
+        "take": process.take,
+        "groups": [list(group) for group in process.quantiles],
+        "wanted": about,
+        "ahead": [
+            {
+                "look_ahead": prediction.look_ahead,
+                "fast_columns": prediction.fast_columns.tolist(),
+                "slow_columns": prediction.slow_columns.tolist(),
+            }
+            for prediction in process.ahead
+        ],
+    }
+
+
+def state_tensors(process: StateProcess) -> dict[str, Tensor]:
+    """Return the tensors of a process by name."""
+    arrays = {name: getattr(process, name) for name in _SHAPES}
+    arrays["quantiles"] = np.stack(list(process.quantiles.values()))
+    if process.wanted is not None:
+        arrays |= {
+            name: getattr(process.wanted, name) for name in ("fast_basis", "slow_basis", "voices")
+        }
+    predictions = {f"ahead.{i}.": each for i, each in enumerate(process.ahead)}
+    for where, prediction in {"": process.wanted, **predictions}.items():
+        for part in ("fast", "slow") if prediction else ():
+            regression = getattr(prediction, part)
+            arrays |= {f"{where}{part}.{n}": getattr(regression, n) for n in _OF_REGRESSION}
+    return {f"state.{name}": torch.from_numpy(np.array(a, float)) for name, a in arrays.items()}
+
+
+def load_state(
+    values: Mapping[str, Any] | None,
+    tensors: Mapping[str, Tensor],
+    channels: StateChannels,
+    fps: float,
+    speech_size: int,
+) -> StateProcess | None:
+    """Read what `state_values` and `state_tensors` wrote; None for a model without a state.
+
+    Args:
+        values: of config.yaml.
+        tensors: of the folder.
+        channels: of the model's rig.
+        fps: frames per second.
+        speech_size: S, the number of speech features.
+
+    Raises KeyError, IndexError or ValueError for values out of range, or tensors whose shapes do
+    not fit the model.
+    """
+    if values is None:
+        return None
+    groups = [
+        (None if speaker is None else str(speaker), None if style is None else int(style))
+        for speaker, style in values["groups"]
+    ]
+    arrays = {name: tensors[f"state.{name}"].double().numpy() for name in _SHAPES}
+    n, n_fast = len(channels.names), int(channels.fast.sum())
+    sizes = {"S": speech_size, "C": n, "F": n_fast, "C - F": n - n_fast, "G": len(groups)}
+    sizes |= {"2": 2, "3": 3}
+    for size, name in {"R": "kernel", "Q": "quantiles", "P": "response"}.items():
+        sizes[size] = min(arrays[name].shape[-1], _MOST_POINTS)
+    _check(arrays, sizes)
+    if tuple(values["channels"]) != channels.names:
+        raise ValueError(f"state: the rig has the channels {', '.join(channels.names)}")
+    wanted, ahead = _load_predictions(values, tensors, fps, speech_size)
+    process = StateProcess(
+        channels=channels,
+        fps=fps,
+        wanted=wanted,
+        take=float(np.clip(values["take"], *_TAKE)),
+        quantiles=dict(zip(groups, arrays.pop("quantiles"), strict=True)),
+        **arrays,
+        ahead=ahead,
+    )
+    process.draw(0, np.zeros((speech_size, 2), np.float32))  # fails where something does not fit
+    return process
+
+
+def _load_predictions(
+    values: Mapping[str, Any], tensors: Mapping[str, Tensor], fps: float, speech_size: int
+) -> tuple[WantedMovement | None, tuple[AheadPrediction, ...]]:
+    """Return the predictions from whole speech and from live speech."""
+    about, ahead = values["wanted"], []
+    if about is None:
+        return None, ()
+
+    def regressions(where: str) -> Iterator[Regression]:
+        for part in ("fast", "slow"):
+            names = (f"state.{where}{part}.{name}" for name in _OF_REGRESSION)
+            mean, weights, offset, r = (tensors[name].numpy() for name in names)
+            yield Regression(mean, weights, float(offset), float(r))
+
+    factors = {name: float(about[name]) for name in ("mean_counts", "spread")}
+    _check(factors, {})
+    fast, slow = regressions("")
+    wanted = WantedMovement(
+        fps=fps,
+        effort=tuple(map(int, about["effort"])),
+        fast_basis=tensors["state.fast_basis"].numpy(),
+        slow_basis=tensors["state.slow_basis"].numpy(),
+        fast=fast,
+        slow=slow,
+        mean_counts=factors["mean_counts"],
+        spread=factors["spread"],
+        across_takes=bool(about["across_takes"]),
+        voices=tensors["state.voices"].numpy(),
+    )
+    window = FeatureWindow(np.zeros((round(fps) + 1, speech_size)), np.zeros((2, speech_size)))
+    for i, row in enumerate(values["ahead"]):
+        look_ahead = min(1.0, max(0.0, float(row["look_ahead"])))
+        columns = [np.array(row[f"{part}_columns"], int) for part in ("fast", "slow")]
+        fast, slow = regressions(f"ahead.{i}.")
+        ahead.append(AheadPrediction(look_ahead, columns[0], columns[1], fast, slow))
+        ahead[i](window, wanted)  # fails where something does not fit
+    return wanted, tuple(ahead)
+
+
+def _check(arrays: Mapping[str, Any], sizes: Mapping[str, int]) -> None:
+    """Raise ValueError for arrays of other shapes, or with values out of range."""
+    for name, array in arrays.items():
+        wanted = tuple(sizes[axis] for axis in _SHAPES.get(name, ()))
+        low, high = _RANGES.get(name, _WIDEST)
+        if np.shape(array) != wanted or not np.all((low <= array) & (array <= high)):
+            raise ValueError(
+                f"state.{name} has the shape {np.shape(array)}; expected {wanted} and values from "
+                f"{low:g} to {high:g}"
+            )

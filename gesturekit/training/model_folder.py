@@ -31,8 +31,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.state.files import state_tensors, unused_controls
-from gesturekit.state.process import StateProcess
+from gesturekit.state.process import StateProcess, state_tensors
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.features import conditioner_tensors
 from gesturekit.training.own_rig import on_rig
@@ -285,7 +284,19 @@ class TrainedModel(ABC):
             yield "transcript: only a face from phones uses one: face='phones' (--face phones)"
         if controls["face"] == "phones" and find_spec("pocketsphinx") is None:
             yield "face='phones': pip install 'gesturekit[face]' first, or take face='energy'"
-        yield from unused_controls(controls, self.state_process)
+        if controls["state"] is not None and self.state_process is None:
+            yield "state: this model was trained without the state of movement"
+        for name, value, default in (
+            ("liveliness", controls["liveliness"], 1),
+            ("mood_seed", controls["mood_seed"], None),
+        ):
+            if value == default:
+                continue
+            if self.state_process is None:
+                yield f"{name}={value}: only models that draw how lively they are take it"
+            for other in ("like", "state"):
+                if controls[other] is not None:
+                    yield f"{name}={value}: {other} sets the movement; give one of them"
 
     @torch.no_grad()
     @gesturekit_errors()

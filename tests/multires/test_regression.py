@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.state.live import AheadPrediction, FeatureWindow, last_bins
 from gesturekit.state.prediction import (
+    AheadPrediction,
+    FeatureWindow,
     Regression,
     WantedMovement,
     fast_inputs,
     folds_of,
+    last_bins,
     slow_inputs,
     usual_voice,
 )

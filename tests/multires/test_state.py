@@ -20,8 +20,13 @@ from gesturekit.multires import VectorKinematics, load_training_data, losses, tr
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import StateTarget
 from gesturekit.state.channels import StateChannels, averaged
-from gesturekit.state.files import load_state, state_tensors, state_values
-from gesturekit.state.process import RecordedState, StateProcess
+from gesturekit.state.process import (
+    RecordedState,
+    StateProcess,
+    load_state,
+    state_tensors,
+    state_values,
+)
 
 FPS = 25.0
 HANDS = StateChannels(((1,), (2,)), trunk=3, shoulders=(4, 5))

@@ -19,8 +19,7 @@ from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.state.files import state_values
-from gesturekit.state.process import StateProcess
+from gesturekit.state.process import StateProcess, state_values
 from gesturekit.training.arrays import Array, ArrayFolder, Frames
 from gesturekit.training.features import speech_frames
 from gesturekit.training.model_folder import (

@@ -27,8 +27,13 @@ from gesturekit.multires.stream_window import SpeechStream
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.progress import Progress
-from gesturekit.state.live import LOOK_AHEADS, AheadPrediction, FeatureWindow, live_rows
-from gesturekit.state.prediction import slow_part
+from gesturekit.state.prediction import (
+    LOOK_AHEADS,
+    AheadPrediction,
+    FeatureWindow,
+    live_rows,
+    slow_part,
+)
 from gesturekit.state.process import StateProcess
 from gesturekit.training.model_folder import save_model
 from gesturekit.training.recordings import systematic_sample, training_items

@@ -42,7 +42,7 @@ from gesturekit.multires.training.result import live_predictions, trained_model
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import MOST_WINDOWS, level_targets
 from gesturekit.multires.training.windows import Batches, Windows, usage
-from gesturekit.state.live import AheadPrediction
+from gesturekit.state.prediction import AheadPrediction
 from gesturekit.training.model_folder import TrainedModel
 from gesturekit.training.origin import widened
 from gesturekit.training.seeds import rng_for, seeded
