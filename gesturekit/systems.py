@@ -6,7 +6,7 @@ import importlib
 import json
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,32 +31,22 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class System:
-    """Parts of a system as `module:name`, imported on first use."""
-
-    model: str
-    controls: str
-    config: str
-    trainer: str
-    fit_live: str | None = None
-
-
 SYSTEMS = {
-    "multires": System(
-        model="gesturekit.multires.model:MultiresModel",
-        controls="gesturekit.multires.controls:MultiresControls",
-        config="gesturekit.multires.config:MultiresConfig",
-        trainer="gesturekit.multires.training.trainer:Trainer",
-        fit_live="gesturekit.multires.training.result:fit_live",
-    ),
-    "diffusion": System(
-        model="gesturekit.diffusion.model:DiffusionModel",
-        controls="gesturekit.diffusion.controls:DiffusionControls",
-        config="gesturekit.diffusion.config:DiffusionConfig",
-        trainer="gesturekit.diffusion.training.trainer:Trainer",
-    ),
+    "multires": {
+        "model": "gesturekit.multires.model:MultiresModel",
+        "controls": "gesturekit.multires.controls:MultiresControls",
+        "config": "gesturekit.multires.config:MultiresConfig",
+        "trainer": "gesturekit.multires.training.trainer:Trainer",
+        "fit_live": "gesturekit.multires.training.result:fit_live",
+    },
+    "diffusion": {
+        "model": "gesturekit.diffusion.model:DiffusionModel",
+        "controls": "gesturekit.diffusion.controls:DiffusionControls",
+        "config": "gesturekit.diffusion.config:DiffusionConfig",
+        "trainer": "gesturekit.diffusion.training.trainer:Trainer",
+    },
 }
+"""Parts of the systems as `module:name`, imported on first use; `fit_live` of those that stream."""
 
 _BUNDLED = Path(__file__).parent / "models"
 
@@ -89,7 +79,7 @@ def model_folder(model: str | Path) -> Path:
 
 def controls_type(kind: str) -> type[Controls]:
     """Return the controls of a system, as the keywords of its `generate`."""
-    return _part(SYSTEMS[kind].controls)
+    return _part(kind, "controls")
 
 
 def control_docs() -> dict[str, str]:
@@ -115,10 +105,9 @@ def fit_live(model: str | Path, corpus: str | Path) -> None:
         CorpusError, AudioError, FormatError: a file cannot be read.
     """
     loaded = load(model)
-    fit = SYSTEMS[loaded.kind].fit_live
-    if fit is None:
+    if "fit_live" not in SYSTEMS[loaded.kind]:
         raise ModelError(f"{model}: a {loaded.kind} model cannot stream")
-    _part(fit)(loaded, Path(corpus))
+    _part(loaded.kind, "fit_live")(loaded, Path(corpus))
 
 
 @gesturekit_errors()
@@ -157,27 +146,21 @@ def load(
     folder = model_folder(model)
     if not _is_model(folder) and _is_model(folder / "model"):
         folder /= "model"  # the model of a run folder
+    kind = None
     try:
         kind = read_yaml(folder / "config.yaml").get("kind")
+        problem = f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
+        problem += "A newer kind needs a newer gesturekit"
     except ConfigError as error:
-        raise ModelError(_not_a_model(model, folder, error)) from None
-    if not isinstance(kind, str) or kind not in SYSTEMS:
-        raise ModelError(
-            unfinished(folder)
-            or f"{folder / 'config.yaml'}: kind {kind!r}; known: {', '.join(SYSTEMS)}. "
-            "A newer kind needs a newer gesturekit"
-        )
-    return _part(SYSTEMS[kind].model).load(folder, weights=weights, device=device, dtype=dtype)
-
-
-def _not_a_model(model: str | Path, folder: Path, error: ConfigError) -> str:
-    """Return the message about a model folder whose settings cannot be read."""
-    if folder.is_dir():
-        return unfinished(folder) or f"not a model folder: {error}"
-    if folder.suffix.lower() in (".bvh", ".npz", ".glb", ".fbx"):
-        return f"{model}: a motion, not a model: gesturekit.Motion.load reads it"
-    known = ", ".join(bundled_models()) or "none is bundled"
-    return unfinished(folder) or f"{model}: neither a model folder nor a bundled model ({known})"
+        known = ", ".join(bundled_models()) or "none is bundled"
+        problem = f"{model}: neither a model folder nor a bundled model ({known})"
+        if folder.is_dir():
+            problem = f"not a model folder: {error}"
+        elif folder.suffix.lower() in (".bvh", ".npz", ".glb", ".fbx"):
+            problem = f"{model}: a motion, not a model: gesturekit.Motion.load reads it"
+    if kind not in [*SYSTEMS]:
+        raise ModelError(unfinished(folder) or problem)
+    return _part(kind, "model").load(folder, weights=weights, device=device, dtype=dtype)
 
 
 @gesturekit_errors()
@@ -217,7 +200,7 @@ def train(
     """
     if isinstance(overrides, Mapping):
         settings, overrides = {**overrides, **settings}, ()
-    system, loaded = _resolve(config, overrides, settings, resume=resume)
+    kind, loaded = _resolve(config, overrides, settings, resume=resume)
     if resume and _is_model(model := loaded.out / "model"):
         Run(loaded.out, to_dict(loaded), resume=True)  # refuses other settings
         longer = f"gesturekit train {loaded.out}/config.yaml longer={2 * loaded.longer:g} out=OTHER"
@@ -228,7 +211,7 @@ def train(
         resume = False
     from gesturekit.training.trainer import run_training  # imports torch
 
-    return run_training(_part(system.trainer), loaded, resume=resume)
+    return run_training(_part(kind, "trainer"), loaded, resume=resume)
 
 
 def plan_training(config: str | Path, overrides: Sequence[str] = ()) -> None:
@@ -239,8 +222,8 @@ def plan_training(config: str | Path, overrides: Sequence[str] = ()) -> None:
     """
     from gesturekit.training import trainer
 
-    system, loaded = _resolve(config, overrides, {}, resume=False)
-    trainer.plan_training(_part(system.trainer), loaded)
+    kind, loaded = _resolve(config, overrides, {}, resume=False)
+    trainer.plan_training(_part(kind, "trainer"), loaded)
 
 
 def make_arrays(config: str | Path, overrides: Sequence[str] = ()) -> None:
@@ -253,8 +236,8 @@ def make_arrays(config: str | Path, overrides: Sequence[str] = ()) -> None:
     """
     from gesturekit.training import trainer
 
-    system, loaded = _resolve(config, overrides, {}, resume=False)
-    trainer.make_arrays(_part(system.trainer), loaded)
+    kind, loaded = _resolve(config, overrides, {}, resume=False)
+    trainer.make_arrays(_part(kind, "trainer"), loaded)
 
 
 def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list[Setting]:
@@ -282,12 +265,11 @@ def resolved_settings(config: str | Path, overrides: Sequence[str] = ()) -> list
 
 def _resolve(
     config: str | Path, overrides: Sequence[str], settings: Mapping[str, Any], *, resume: bool
-) -> tuple[System, RunConfig]:
+) -> tuple[str, RunConfig]:
     """Return the system that a configuration names, and its settings."""
     path, overrides = _config_file(Path(config), overrides, resume=resume)
     name = _system_name(path, overrides)
-    schema = _part(SYSTEMS[name].config)
-    return SYSTEMS[name], load_config(path, schema, overrides, settings)
+    return name, load_config(path, _part(name, "config"), overrides, settings)
 
 
 def _config_file(
@@ -307,19 +289,30 @@ def _config_file(
     if path.is_dir():
         if _is_model(path) and (path.parent / "config.yaml").is_file():
             path = path.parent  # the run of a model folder
-        if not (path / "config.yaml").is_file():
-            raise ConfigError(
-                f"{path}: a folder without config.yaml, so no run to resume; to train on what is "
-                "in it, run gesturekit prepare on it and give a configuration (.yaml)"
-            )
-        if not resume:
-            raise ConfigError(f"{path}: a run folder; add --resume to continue it")
-        # Its own config.yaml holds every setting, and the folder may have been moved.
-        return path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
+        has_config = (path / "config.yaml").is_file()
+        if resume and has_config:
+            # Its own config.yaml holds every setting, and the folder may have been moved.
+            return path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
+        problem = (
+            "a folder without config.yaml, so no run to resume; to train on what is in it, run "
+            "gesturekit prepare on it and give a configuration (.yaml)"
+        )
+        raise ConfigError(
+            f"{path}: {'a run folder; add --resume to continue it' if has_config else problem}"
+        )
     path = find_config(path)
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        raise ConfigError(f"{path}: {_not_a_config(path)}")
-    return path, overrides
+    suffix = path.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        return path, overrides
+    problem = f"not a configuration, which is a .yaml file such as {', '.join(main_configs())}"
+    if suffix == ".jsonl":
+        problem = f"a manifest, not a configuration; gesturekit train own_corpus corpus={path}"
+    elif suffix in (".bvh", ".npz", ".wav"):
+        problem = (
+            "a recording, not a configuration; run gesturekit prepare on its folder, then "
+            "gesturekit train own_corpus"
+        )
+    raise ConfigError(f"{path}: {problem}")
 
 
 def _system_name(path: Path, overrides: Sequence[str]) -> str:
@@ -339,7 +332,7 @@ def _system_name(path: Path, overrides: Sequence[str]) -> str:
             )
         if key == "system":
             name = value
-    if not isinstance(name, str) or name not in SYSTEMS:
+    if name not in [*SYSTEMS]:
         raise ConfigError(f"{path}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
     return name
 
@@ -352,19 +345,7 @@ def _is_model(folder: Path) -> bool:
         return False
 
 
-def _not_a_config(path: Path) -> str:
-    """Return the end of a message about a file that is not a configuration."""
-    if path.suffix.lower() == ".jsonl":
-        return f"a manifest, not a configuration; gesturekit train own_corpus corpus={path}"
-    if path.suffix.lower() in (".bvh", ".npz", ".wav"):
-        return (
-            "a recording, not a configuration; run gesturekit prepare on its folder, then "
-            "gesturekit train own_corpus"
-        )
-    return f"not a configuration, which is a .yaml file such as {', '.join(main_configs())}"
-
-
-def _part(where: str) -> Any:
-    """Import `module:name`."""
-    module, _, name = where.partition(":")
+def _part(kind: str, part: str) -> Any:
+    """Import a part of a system."""
+    module, _, name = SYSTEMS[kind][part].partition(":")
     return getattr(importlib.import_module(module), name)

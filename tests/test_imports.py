@@ -65,7 +65,7 @@ def test_models_of_every_system_implement_the_model_protocol(system):
     import gesturekit as gk
     from gesturekit.systems import SYSTEMS
 
-    module, _, name = SYSTEMS[system].model.partition(":")
+    module, _, name = SYSTEMS[system]["model"].partition(":")
     own = inspect.signature(getattr(importlib.import_module(module), name).generate).parameters
     for promised in typing.get_overloads(gk.Model.generate):
         for name, parameter in inspect.signature(promised).parameters.items():

@@ -19,7 +19,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 import audio_features as af
-from audio_features.atomic import atomic_write, remove_unfinished, write_tensors
+from audio_features.atomic import remove_unfinished, write_tensors, write_text
 from audio_features.extractor import needs_of
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
@@ -91,14 +91,11 @@ def save_model(
     folder = Path(folder)
     for name in ("skeleton.json", "model.safetensors", "README.md", "config.yaml"):
         remove_unfinished(folder / name)
-    with atomic_write(folder / "skeleton.json") as temporary:
-        temporary.write_text(json.dumps(rig), encoding="utf-8")
+    write_text(folder / "skeleton.json", json.dumps(rig))
     write_tensors(folder / "model.safetensors", tensors)
-    with atomic_write(folder / "README.md") as temporary:
-        temporary.write_text(readme, encoding="utf-8")
+    write_text(folder / "README.md", readme)
     # Last: a folder with a config.yaml is a whole model.
-    with atomic_write(folder / "config.yaml") as temporary:
-        temporary.write_text(dump_yaml({"format": FORMAT, **config}), encoding="utf-8")
+    write_text(folder / "config.yaml", dump_yaml({"format": FORMAT, **config}))
 
 
 def model_digest(
@@ -127,43 +124,18 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], A
         WeightsError: WavLM weights are missing, or differ from those of training.
     """
     folder = Path(folder)
-    config = _read_config(folder, kind)
+    path, file = folder / "config.yaml", folder / "model.safetensors"
     try:
-        checked_fps(float(config["fps"]))
-        model = assemble(ModelParts(folder, config, *_read_files(folder)))
-    except af.FeatureError as error:
-        raise ModelError(f"{folder / 'config.yaml'}: features: {error}") from error
-    except (af.AudioFeaturesError, ModelError):
-        raise
-    except torch.cuda.OutOfMemoryError as error:
+        config = read_yaml(path)
+    except ConfigError as error:
+        raise ModelError(unfinished(folder) or f"not a model folder: {error}") from None
+    if (config.get("format"), config.get("kind")) != (FORMAT, kind):
         raise ModelError(
-            f"{folder}: {memory_ran_out(error)}; free it, or load the model with device cpu"
-        ) from error
-    except Exception as error:
-        # Damage, memory that ran out, a library that is missing. torch lists every tensor that does
-        # not fit, on a line of its own.
-        reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")
-        reason = f"{type(error).__name__}: {reason}".removesuffix(": ")
-        raise ModelError(f"{folder}: the model is damaged or cannot be used ({reason})") from error
-    if missing := unidentified(model.skeleton):
-        locked = "feet are not locked, and " if missing.startswith("legs") else ""
-        log.warning(
-            "%s: %s of the rig cannot be identified: %sthe upper body is not smoothed",
-            folder,
-            missing,
-            locked,
+            unfinished(folder)
+            or f"{path}: format {config.get('format')!r} and kind {config.get('kind')!r}; this "
+            f"gesturekit reads format {FORMAT} of {kind}. A newer format needs a newer gesturekit"
         )
-    return model
-
-
-def _read_files(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Return the content of skeleton.json and of model.safetensors.
-
-    Raises:
-        ModelError: a file is missing, special or damaged, or has a million tensors.
-    """
     rig = read_rig(folder)
-    file = folder / "model.safetensors"
     try:
         if file.exists() and not file.is_file():  # reading a pipe may never end
             raise ValueError("not a regular file")
@@ -171,47 +143,32 @@ def _read_files(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             header = int.from_bytes(opened.read(8), "little")  # bytes of JSON about the tensors
         if header > _MOST_HEADER:
             raise ValueError(f"{header} bytes of names")
-        return rig, load_file(file)
+        tensors = load_file(file)
     except (OSError, ValueError, SafetensorError) as error:
         raise ModelError(f"{file}: missing or damaged ({error})") from error
-
-
-def _read_config(folder: Path, kind: str) -> dict[str, Any]:
-    """Read the settings of a model of this kind.
-
-    Raises:
-        ModelError: there are none, or those of another kind or format, or of an unfinished run.
-    """
-    path = folder / "config.yaml"
-    if why := unfinished(folder):
-        raise ModelError(why)
     try:
-        config = read_yaml(path)
-    except ConfigError as error:
-        raise ModelError(f"not a model folder: {error}") from None
-    if config.get("format") != FORMAT:
-        raise ModelError(
-            f"{path}: format {config.get('format')!r}; this gesturekit reads format {FORMAT}. A "
-            "newer format needs a newer gesturekit"
+        checked_fps(float(config["fps"]))
+        model = assemble(ModelParts(folder, config, rig, tensors))
+    except af.FeatureError as error:
+        raise ModelError(f"{path}: features: {error}") from error
+    except (af.AudioFeaturesError, ModelError):
+        raise
+    except Exception as error:
+        # Damage, memory that ran out, a library that is missing. torch lists every tensor that does
+        # not fit, on a line of its own.
+        reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")
+        reason = f"{type(error).__name__}: {reason}".removesuffix(": ")
+        why = f"the model is damaged or cannot be used ({reason})"
+        if isinstance(error, torch.cuda.OutOfMemoryError):
+            why = f"{memory_ran_out(error)}; free it, or load the model with device cpu"
+        raise ModelError(f"{folder}: {why}") from error
+    if missing := unidentified(model.skeleton):
+        locked = "feet are not locked, and " if missing.startswith("legs") else ""
+        log.warning(
+            "%s: %s of the rig cannot be identified: %sthe upper body is not smoothed",
+            *(folder, missing, locked),
         )
-    if config.get("kind") != kind:
-        raise ModelError(f"{path}: kind {config.get('kind')!r}, not {kind}")
-    return config
-
-
-def model_readme(rows: Mapping[str, str], call: str) -> str:
-    """Return the text of a model's README.md.
-
-    Args:
-        rows: facts by name.
-        call: arguments of `generate` in the example, without the seed.
-    """
-    lines = [f"- **{key}**: {value}" for key, value in rows.items()]
-    return (
-        "# A gesturekit model\n\n" + "\n".join(lines) + "\n\n```python\nimport gesturekit as gk\n\n"
-        'model = gk.load("THIS FOLDER")\n'
-        f'model.generate({call}, seed=0).save("motion.bvh")\n```\n'
-    )
+    return model
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -330,7 +287,13 @@ class TrainedModel(ABC):
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
         rows, call = self._readme()
-        save_model(folder, *self.parts(), model_readme({**rows, **(notes or {})}, call))
+        lines = [f"- **{key}**: {value}" for key, value in {**rows, **(notes or {})}.items()]
+        readme = (
+            "# A gesturekit model\n\n" + "\n".join(lines) + "\n\n```python\nimport gesturekit as gk"
+            '\n\nmodel = gk.load("THIS FOLDER")\n'
+            f'model.generate({call}, seed=0).save("motion.bvh")\n```\n'
+        )
+        save_model(folder, *self.parts(), readme)
 
     def parts(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Tensor]]:
         """Return the contents of config.yaml, skeleton.json and model.safetensors."""
@@ -480,8 +443,7 @@ def save_data(folder: Path, tensors: dict[str, Tensor], about: Mapping[str, Any]
     for name in ("data.safetensors", "data.json"):
         remove_unfinished(folder / name)
     write_tensors(folder / "data.safetensors", tensors)
-    with atomic_write(folder / "data.json") as temporary:
-        temporary.write_text(json.dumps(about), encoding="utf-8")
+    write_text(folder / "data.json", json.dumps(about))
 
 
 def load_data(folder: Path, assemble: Callable[[dict[str, Any], dict[str, Tensor]], Data]) -> Data:
