@@ -8,15 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from gesturekit.corpus.layouts import HANDED
+from gesturekit.training.config import Limits, Positive, Settings, Share, ShareBelowOne
 from gesturekit.training.features import FeatureConfig
-from gesturekit.training.run_config import (
-    Limits,
-    Positive,
-    RunConfig,
-    Settings,
-    Share,
-    ShareBelowOne,
-)
+from gesturekit.training.run_config import RunConfig
 
 
 @dataclass(frozen=True)

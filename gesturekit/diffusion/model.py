@@ -29,7 +29,7 @@ from gesturekit.state.channels import StateChannels
 from gesturekit.state.process import load_state, state_values
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces
-from gesturekit.training.seeds import checked_item, checked_seed
+from gesturekit.training.seeds import checked_draw
 
 MAX_FRAMES = 9000
 """Frames that are generated without tiling: five minutes at 30 fps. At gesture size, each thousand
@@ -108,7 +108,7 @@ class DiffusionModel(TrainedModel):
             AudioError, FormatError: a file cannot be read, or an array is not audio.
         """
         asked = build_controls(DiffusionControls, controls, self.kind)
-        seed, item = checked_seed(seed), checked_item(item)
+        seed, item = checked_draw(seed, item)
         speech = as_speech(speech, sample_rate)
         rate = self.recorded_fps if asked["fps"] is None else asked["fps"]
         members = check_controls(self, asked, samples)
@@ -130,7 +130,7 @@ class DiffusionModel(TrainedModel):
                 experts that cannot be combined.
             FormatError: a table of events that cannot be read.
         """
-        checked_seed(seed)
+        checked_draw(seed)
         asked = build_controls(DiffusionControls, controls, self.kind)
         check_controls(self, asked, samples)
         return asked

@@ -11,15 +11,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import audio_features as af
+from gesturekit.training.config import Limits, Positive, Settings, Share, ShareBelowOne
 from gesturekit.training.features import FeatureConfig
-from gesturekit.training.run_config import (
-    Limits,
-    Positive,
-    RunConfig,
-    Settings,
-    Share,
-    ShareBelowOne,
-)
+from gesturekit.training.run_config import RunConfig
 
 BackendName = Literal["auto", "torch", "numba"]
 

@@ -41,7 +41,7 @@ from gesturekit.state.process import load_state, state_values
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.features import conditioner_values, load_conditioner
 from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces
-from gesturekit.training.seeds import checked_item, checked_seed
+from gesturekit.training.seeds import checked_draw
 
 _CONVOLUTION = re.compile(r"layers\.\d+\.weight")
 
@@ -118,7 +118,7 @@ class MultiresModel(TrainedModel):
             MotionError: a `smooth` below 0.
         """
         asked = build_controls(MultiresControls, controls, self.kind)
-        seed, item = checked_seed(seed), checked_item(item)
+        seed, item = checked_draw(seed, item)
         rate = self._rate(asked)
         check_controls(self, asked, samples)
         request = Request(self, asked, as_speech(speech, sample_rate), seconds)
@@ -178,7 +178,7 @@ class MultiresModel(TrainedModel):
             ConfigError: GESTUREKIT_BACKEND names no backend.
         """
         requested_backend()
-        checked_seed(seed)
+        checked_draw(seed)
         asked = build_controls(MultiresControls, controls, self.kind)
         check_controls(self, asked, samples)
         return asked

@@ -38,7 +38,7 @@ from gesturekit.multires.stream_window import (
 from gesturekit.postprocess.feet import feet_of_legs
 from gesturekit.state.prediction import AheadPrediction, FeatureWindow
 from gesturekit.state.process import mood_seed
-from gesturekit.training.seeds import checked_item, checked_seed, rng_for
+from gesturekit.training.seeds import checked_draw, rng_for
 
 if TYPE_CHECKING:
     from gesturekit.multires.model import MultiresModel
@@ -194,7 +194,7 @@ class MultiresStream(Resumable):
         item: str,
         controls: MultiresControls,
     ) -> None:
-        seed, item = checked_seed(seed), checked_item(item)
+        seed, item = checked_draw(seed, item)
         predictions = _predictions(model, look_ahead, controls)
         self.model, self.sample_rate, self.fps = model, sample_rate, model.fps
         self._around = round(_AROUND_SECONDS * model.fps)

@@ -12,6 +12,7 @@ import copy
 import dataclasses
 import difflib
 import json
+import math
 import re
 import types
 import typing
@@ -19,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
 
@@ -29,6 +30,7 @@ from gesturekit.field_docs import field_docs
 from gesturekit.training.recipes import recipe_config
 
 Schema = TypeVar("Schema")
+Number = TypeVar("Number")
 
 
 _LENGTH = ("longer", "training.updates", "training.first_stage", "training.further_stages")
@@ -66,16 +68,8 @@ _Loader.add_implicit_resolver(
 )
 
 
-class _Dumper(yaml.SafeDumper):
-    """Safe YAML without aliases."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        """Write each value where it stands."""
-        return True
-
-
 @lru_cache(maxsize=32)
-def _parsed(text: str) -> Any:
+def _parsed(text: str | bytes) -> Any:
     """Return the values of YAML; a command reads the same chain of recipes several times."""
     try:
         return yaml.load(text, Loader=_Loader)
@@ -92,13 +86,11 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """
     content = read_bytes(Path(path), _MAX_BYTES, ConfigError)
     try:
-        values = copy.deepcopy(_parsed(content.decode("utf-8")))
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: cannot be read as text ({error})") from None
+        values = copy.deepcopy(_parsed(content))
+        if not isinstance(values, dict):
+            raise ConfigError(f"holds {type(values).__name__}, expected key: value lines")
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path}: holds {type(values).__name__}, expected key: value lines")
     return values
 
 
@@ -124,13 +116,12 @@ def load_config(
     Raises:
         ConfigError: unknown key, wrong type, a chain of parents that does not end.
     """
-    merged = _with_parents(Path(path), schema)
-    given: dict[str, Any] = {}
+    merged, given = _with_parents(Path(path), schema), dict[str, Any]()
     for override in overrides:
         key, separator, text = override.partition("=")
-        if not separator or not key:
-            raise ConfigError(f"{override!r}: overrides look like key=value or section.key=value")
         try:
+            if not separator or not key:
+                raise ConfigError("overrides look like key=value or section.key=value")
             given = _merge(given, _nested(key, _parsed(text)))
         except ConfigError as error:
             raise ConfigError(f"{override!r}: {error}") from None
@@ -155,10 +146,9 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
     values = _resolve_paths(values, schema, path.resolve().parent)
     if base is None:
         return values
-    if depth == 0:
-        raise ConfigError(f"{path}: too many nested base files; does one include itself?")
-    if not isinstance(base, str):
-        raise ConfigError(f"{path}: base: {base!r} is not a file name")
+    if depth == 0 or not isinstance(base, str):
+        problem = "does a file include itself?" if depth == 0 else "not a file name"
+        raise ConfigError(f"{path}: base: {base!r}: {problem}")
     parent = path.parent / base
     if not parent.exists():
         parent = recipe_config(base) or parent
@@ -210,6 +200,50 @@ def path_from(folder: Path, key: str, value: str | Path) -> Path:
         raise ConfigError(f"{folder}: {key}: {value!a} is no path: {error}") from None
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a setting that is a number; without any, it is finite and at least 0.
+
+    Attributes:
+        most: inclusive upper limit, which may bound memory and time.
+        is_above: whether 0 is excluded.
+        is_below: whether `most` is excluded.
+    """
+
+    most: float = math.inf
+    is_above: bool = False
+    is_below: bool = False
+
+
+Positive = Annotated[Number, Limits(is_above=True)]
+Share = Annotated[float, Limits(most=1)]
+ShareBelowOne = Annotated[float, Limits(most=1, is_below=True)]
+
+
+class Settings:
+    """Base of configuration dataclasses: checks numbers against the `Limits` of their fields."""
+
+    def __post_init__(self) -> None:
+        for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
+            value = getattr(self, name)
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                limits = hint.__metadata__[0] if typing.get_origin(hint) is Annotated else Limits()
+                low = value > 0 if limits.is_above else value >= 0
+                high = value < limits.most if limits.is_below else value <= limits.most
+                if low and high and math.isfinite(value):
+                    continue
+                wanted = "above 0" if limits.is_above else "at least 0"
+                if limits.most < math.inf:
+                    wanted += f" and {'below' if limits.is_below else 'at most'} {limits.most:g}"
+                raise ConfigError(f"{name}: {value!r} must be {wanted}")
+        if problem := next(self.problems(), None):
+            raise ConfigError(problem)
+
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the settings, beside numbers out of their limits."""
+        yield from ()
+
+
 def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config") -> Schema:
     """Build a dataclass from a mapping, and check its values.
 
@@ -217,24 +251,21 @@ def build(schema: type[Schema], values: dict[str, Any], *, where: str = "config"
         ConfigError: with `where`, the dotted key, the value and what was expected.
     """
     try:
-        return _build(schema, values, where, "")
-    except _UnknownKey as error:
-        key = str(error)
+        return _section(values, schema, "")
+    except KeyError as unknown:
+        key, known = unknown.args[0], _settings(schema)
         section, _, leaf = key.rpartition(".")
-        known = _settings(schema)
         beside = {n.rpartition(".")[2]: n for n in known if n.rpartition(".")[0] == section}
         meant = [name for name in _SYNONYMS.get(leaf, ()) if name in known]
         meant = meant or [name for name in known if name.rpartition(".")[2] == leaf]
-        near = difflib.get_close_matches(leaf, beside, n=1, cutoff=0.5)
-        meant = meant or [beside[name] for name in near]
+        meant = meant or [beside[name] for name in difflib.get_close_matches(leaf, beside, 1, 0.5)]
         if not beside:  # no such section
             meant = meant or difflib.get_close_matches(key, known, n=1, cutoff=0.5)
         hint = f"did you mean {' or '.join(meant)}?" if meant else f"known: {', '.join(beside)}"
-        raise ConfigError(f"{where}: unknown key {key}; {hint}") from None
-
-
-class _UnknownKey(ConfigError):
-    """A dotted key that the schema does not have: of an unknown section, its first setting."""
+        problem = f"unknown key {key}; {hint}"
+    except ConfigError as error:
+        problem = str(error)
+    raise ConfigError(f"{where}: {problem}")
 
 
 def _settings(schema: Any, prefix: str = "") -> list[str]:
@@ -248,28 +279,28 @@ def _settings(schema: Any, prefix: str = "") -> list[str]:
     return names
 
 
-def _build(schema: Any, values: Any, where: str, prefix: str) -> Any:
+def _section(values: Any, schema: Any, key: str) -> Any:
+    """Build a dataclass; `key` is its dotted name, empty for the whole configuration.
+
+    Raises:
+        KeyError: a dotted key that it does not have: of an unknown section, its first setting.
+        ConfigError: a wrong value.
+    """
     if not isinstance(values, dict):
-        name = prefix.rstrip(".") or "the file"
-        raise ConfigError(f"{where}: {name} must hold keys, not {values!r}")
-    hints = typing.get_type_hints(schema)
-    fields = {field.name: field for field in dataclasses.fields(schema)}
-    for key in values:
-        if key not in fields:
-            raise _UnknownKey(f"{prefix}{next(iter(dotted({key: values[key]})))}")
-    made = {
-        key: _convert(value, hints[key], where, f"{prefix}{key}") for key, value in values.items()
-    }
-    for name, field in fields.items():
+        raise ConfigError(f"{key or 'the file'} must hold keys, not {values!r}")
+    hints, prefix = typing.get_type_hints(schema), f"{key}." if key else ""
+    for name in (name for name in values if name not in hints):
+        raise KeyError(f"{prefix}{next(iter(dotted({name: values[name]})))}")
+    made = {name: _convert(value, hints[name], f"{prefix}{name}") for name, value in values.items()}
+    for field in dataclasses.fields(schema):
         is_required = field.default is MISSING and field.default_factory is MISSING
-        if is_required and name not in made:
-            key = f"{prefix}{name}"
-            raise ConfigError(f"{where}: {key} is missing; add it there, or {key}=... here")
+        if is_required and field.name not in made:
+            name = f"{prefix}{field.name}"
+            raise ConfigError(f"{name} is missing; add it there, or {name}=... here")
     try:
         return schema(**made)
-    except ConfigError as error:
-        # Checks of a dataclass's own (__post_init__) know neither the file nor the section.
-        raise ConfigError(f"{where}: {prefix}{error}") from None
+    except ConfigError as error:  # of __post_init__, which does not know the section
+        raise ConfigError(f"{prefix}{error}") from None
 
 
 def dotted(values: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
@@ -286,35 +317,31 @@ def _options(hint: Any) -> tuple[Any, ...]:
     return typing.get_args(hint) if origin in (typing.Union, types.UnionType) else (hint,)
 
 
-def _convert(value: Any, hint: Any, where: str, key: str) -> Any:
-    options = _options(hint)
-    if value is None:
-        if type(None) in options:
-            return None
-        raise ConfigError(f"{where}: {key} may not be empty")
-    problems = []
+def _convert(value: Any, hint: Any, key: str) -> Any:
+    """Return a value of YAML as its type hint asks; the first problem of a union counts."""
+    options, problems = _options(hint), []
+    if value is None and type(None) in options:
+        return None
     for option in options:
-        if option is type(None):
-            continue
         try:
-            return _convert_one(value, option, where, key)
+            return _converted(value, option, key)
         except ConfigError as error:
             problems.append(error)
     raise problems[0]
 
 
-def _convert_one(value: Any, hint: Any, where: str, key: str) -> Any:
+def _converted(value: Any, hint: Any, key: str) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if dataclasses.is_dataclass(hint):
+        return _section(value, hint, key)
     expected = f"of type {getattr(hint, '__name__', hint)}"
     if origin is typing.Literal:
         if value in arguments:
             return value
         expected = f"one of {', '.join(map(repr, arguments))}"
-    elif dataclasses.is_dataclass(hint):
-        return _build(hint, value, where, f"{key}.")
     elif origin in (list, tuple):
         if isinstance(value, (list, tuple)):
-            return tuple(_convert(item, arguments[0], where, f"{key}[]") for item in value)
+            return tuple(_convert(item, arguments[0], f"{key}[]") for item in value)
         expected = "a list"
     elif dict in (hint, origin):
         if isinstance(value, dict):
@@ -326,7 +353,7 @@ def _convert_one(value: Any, hint: Any, where: str, key: str) -> Any:
         return Path(value)
     elif hint in (int, bool, str) and type(value) is hint:
         return value
-    raise ConfigError(f"{where}: {key}: {value!r} is not {expected}")
+    raise ConfigError(f"{key}: {'null' if value is None else repr(value)} is not {expected}")
 
 
 def to_dict(config: Any) -> Any:
@@ -341,7 +368,8 @@ def to_dict(config: Any) -> Any:
 
 def dump_yaml(values: Mapping[str, Any]) -> str:
     """Return YAML text of plain values, in their own order."""
-    return yaml.dump(dict(values), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    # As JSON is a tree, no value refers to another one.
+    return yaml.safe_dump(to_dict(values), sort_keys=False, allow_unicode=True)
 
 
 @dataclass(frozen=True)

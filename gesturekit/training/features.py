@@ -29,7 +29,7 @@ from gesturekit.corpus.speech import (
 )
 from gesturekit.progress import Progress
 from gesturekit.training.arrays import Array, ArrayInMemory, StoredFrames
-from gesturekit.training.run_config import Positive, Settings
+from gesturekit.training.config import Positive, Settings
 
 log = logging.getLogger(__name__)
 

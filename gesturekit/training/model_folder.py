@@ -35,7 +35,7 @@ from gesturekit.state.process import StateProcess, state_tensors
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.features import conditioner_tensors
 from gesturekit.training.own_rig import on_rig
-from gesturekit.training.run_config import MOST_SMOOTH, Limits
+from gesturekit.training.run_config import MOST_SMOOTH
 from gesturekit.training.run_folder import read_rig, unfinished
 from gesturekit.training.seeds import rng_for
 from gesturekit.training.session import memory_ran_out, prepare_device, warn_of_slow_bfloat16
@@ -380,8 +380,8 @@ class TrainedModel(ABC):
 
         def assemble(parts: ModelParts) -> Any:
             smooth = parts.config["smooth"]
-            if smooth is not None:
-                Limits(MOST_SMOOTH).check("smooth", smooth)
+            if not (smooth is None or 0 <= smooth <= MOST_SMOOTH):
+                raise ValueError(f"smooth: {smooth!r} must be 0 to {MOST_SMOOTH:g}")
             return cls(
                 fps=float(parts.config["fps"]),
                 speakers=read_speakers(parts.rig),

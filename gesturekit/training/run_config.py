@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
-from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import KNOWN_PARTS
+from gesturekit.training.config import Limits, Positive, Settings
 
 UNIDENTIFIED = (
     "%s of the rig cannot be identified: %s. If it has them, name them by hand "
@@ -22,57 +21,6 @@ LEGLESS = "The rig has no legs: no contact labels or loss, and no feet to lock."
 
 MOST_SMOOTH = 2.0
 """Seconds up to which motion is smoothed, as by the control `smooth`."""
-
-
-Number = TypeVar("Number")
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of a setting that is a number; without any, it is finite and at least 0.
-
-    Attributes:
-        most: inclusive upper limit, which may bound memory and time.
-        is_above: whether 0 is excluded.
-        is_below: whether `most` is excluded.
-    """
-
-    most: float = math.inf
-    is_above: bool = False
-    is_below: bool = False
-
-    def check(self, name: str, value: float) -> None:
-        """Raise ConfigError for a number out of these limits."""
-        low = value > 0 if self.is_above else value >= 0
-        high = value < self.most if self.is_below else value <= self.most
-        if low and high and math.isfinite(value):
-            return
-        wanted = "above 0" if self.is_above else "at least 0"
-        if self.most < math.inf:
-            wanted += f" and {'below' if self.is_below else 'at most'} {self.most:g}"
-        raise ConfigError(f"{name}: {value!r} must be {wanted}")
-
-
-Positive = Annotated[Number, Limits(is_above=True)]
-Share = Annotated[float, Limits(most=1)]
-ShareBelowOne = Annotated[float, Limits(most=1, is_below=True)]
-
-
-class Settings:
-    """Base of configuration dataclasses: checks numbers against the `Limits` of their fields."""
-
-    def __post_init__(self) -> None:
-        for name, hint in get_type_hints(type(self), include_extras=True).items():
-            value = getattr(self, name)
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                limits = hint.__metadata__[0] if get_origin(hint) is Annotated else Limits()
-                limits.check(name, value)
-        if problem := next(self.problems(), None):
-            raise ConfigError(problem)
-
-    def problems(self) -> Iterator[str]:
-        """Yield what is wrong with the settings, beside numbers out of their limits."""
-        yield from ()
 
 
 @dataclass(frozen=True, kw_only=True)

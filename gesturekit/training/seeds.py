@@ -18,30 +18,18 @@ from gesturekit.errors import ModelError
 Made = TypeVar("Made")
 
 
-def checked_seed(seed: int) -> int:
-    """Return a seed as a plain whole number.
+def checked_draw(seed: int, item: str = "") -> tuple[int, str]:
+    """Return a seed as a plain whole number, and the name of an utterance as a plain str.
 
     Raises:
-        ModelError: it is not a whole number from 0.
+        ModelError: the seed is not a whole number from 0, or the name is not text.
     """
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        number = -1
+    number = operator.index(seed) if hasattr(seed, "__index__") else -1
     if number < 0:
         raise ModelError(f"seed={seed!r}: give a whole number from 0")
-    return number
-
-
-def checked_item(item: str) -> str:
-    """Return the name of an utterance as a plain str.
-
-    Raises:
-        ModelError: it is not text.
-    """
     if not isinstance(item, str):
         raise ModelError(f"item={item!r}: give the name of the utterance as text")
-    return str(item)
+    return number, str(item)
 
 
 def rng_for(*keys: int | str) -> torch.Generator:
