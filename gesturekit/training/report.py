@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import html
-import json
 import math
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 
 PAGE = "report.html"
 REFRESH = 10
@@ -55,16 +54,11 @@ Section = dict[str, dict[str, Curve]]
 """Curves by the title of their chart and their label."""
 
 
-def write_report(folder: Path, *, is_running: bool) -> None:
-    """Write the page of a run from its `metrics.jsonl` and the pages in `samples/`."""
+def write_report(folder: Path, lines: Sequence[dict[str, Any]], *, is_running: bool) -> None:
+    """Write the page of a run from the lines of its `metrics.jsonl` and the pages in `samples/`."""
     # A page to look at is not worth ending a training for.
     with suppress(OSError):
-        lines = []
-        for line in (folder / "metrics.jsonl").read_text(encoding="utf-8").splitlines():
-            with suppress(ValueError):  # of a line that was being written at a kill
-                lines.append(json.loads(line))
-        with atomic_write(folder / PAGE) as temporary:
-            temporary.write_text(_page(folder, lines, is_running), encoding="utf-8")
+        write_text(folder / PAGE, _page(folder, lines, is_running))
 
 
 def _page(folder: Path, lines: Sequence[dict[str, Any]], is_running: bool) -> str:
@@ -101,8 +95,10 @@ def _curves(lines: Sequence[dict[str, Any]]) -> dict[str, Section]:
                 continue
             title = name.rpartition("/")[2]
             label = f"level {line['level']}" if "level" in line else ""
-            if kind in ("held_out", "recorded"):
-                title, label = _metric_and_whose(title)
+            if kind in ("held_out", "recorded"):  # the recording's value and chance share a chart
+                metric, _, whose = title.rpartition("_")
+                is_ours = whose not in ("recording", "chance")
+                title, label = (title, "model") if is_ours else (metric, whose)
             curve = sections["pace" if name in _NO_LOSSES else kind][title][label]
             curve.append((int(line["step"]), float(value)))
             if len(curve) > 2 * _MOST_POINTS:
@@ -112,9 +108,8 @@ def _curves(lines: Sequence[dict[str, Any]]) -> dict[str, Section]:
 
 def _section(name: str, charts: Section) -> str:
     labels = list(dict.fromkeys(label for curves in charts.values() for label in curves))
-    drawn = "".join(
-        _chart(_in_words(title, name), curves, labels) for title, curves in charts.items()
-    )
+    titled = ((_in_words(title, name), curves) for title, curves in charts.items())
+    drawn = "".join(_chart(title, curves, labels) for title, curves in titled)
     title = html.escape(_TITLES.get(name, name.capitalize()))
     return f'<h2>{title}</h2><div class="charts">{drawn}</div>\n'
 
@@ -130,14 +125,6 @@ def _samples(folder: Path) -> str:
         for page in pages[:_MOST_SAMPLES]
     )
     return f"<h2>Samples, with their motion</h2><ul>{links}</ul>\n"
-
-
-def _metric_and_whose(name: str) -> tuple[str, str]:
-    """Return the metric of a logged value, and whose value it is; they share a chart."""
-    for whose in ("recording", "chance"):
-        if name.endswith(f"_{whose}"):
-            return name.removesuffix(f"_{whose}"), whose
-    return name, "model"
 
 
 def _in_words(name: str, section: str) -> str:
@@ -159,6 +146,7 @@ def _chart(title: str, curves: dict[str, Curve], known: list[str]) -> str:
     values = [value for curve in drawn.values() for _, value in curve] or [0.0]
     low, high = min(values), max(values)
     is_log = low > 0 and high / low > _LOG_SCALE
+    scaled: Callable[[float], float] = math.log if is_log else float
     steps = [point[0] for curve in (drawn or curves).values() for point in (curve[0], curve[-1])]
     lines, labels = [], []
     for label, curve in curves.items():
@@ -169,11 +157,13 @@ def _chart(title: str, curves: dict[str, Curve], known: list[str]) -> str:
         labels += [f'; <b style="color: {colour}">{html.escape(label)}</b>{value}'] if label else []
         if label not in drawn:
             continue
-        places = _places(curve, (min(steps), max(steps)), (low, high), is_log)
-        lines.append(
-            f'<polyline points="{places}" style="stroke: {colour}">'
-            f"<title>{named}</title></polyline>"
-        )
+        points = []
+        for step, value in curve:
+            share = (scaled(value) - scaled(low)) / ((scaled(high) - scaled(low)) or 1.0)
+            x = (step - min(steps)) / (max(steps) - min(steps)) * _WIDTH
+            points.append(f"{x:.1f},{_HEIGHT - 3 - share * (_HEIGHT - 6):.1f}")
+        line = f'<polyline points="{" ".join(points)}" style="stroke: {colour}">'
+        lines.append(f"{line}<title>{named}</title></polyline>")
     newest = max(curves.values(), key=lambda curve: curve[-1][0])[-1][1]
     scale, picture = f"step {max(steps)}", ""
     if lines:
@@ -185,20 +175,3 @@ def _chart(title: str, curves: dict[str, Curve], known: list[str]) -> str:
         f"<figure><figcaption><b>{html.escape(title)}</b><span>{newest:.4g}</span></figcaption>"
         f"{picture}<small>{scale}{''.join(labels)}</small></figure>"
     )
-
-
-def _places(
-    curve: Sequence[tuple[int, float]],
-    steps: tuple[int, int],
-    limits: tuple[float, float],
-    is_log: bool,
-) -> str:
-    """Return a curve as the points of a polyline."""
-    low, high = (math.log(limit) for limit in limits) if is_log else limits
-    span, width = (high - low) or 1.0, steps[1] - steps[0]
-    points = []
-    for step, value in curve:
-        share = ((math.log(value) if is_log else value) - low) / span
-        x = (step - steps[0]) / width * _WIDTH
-        points.append(f"{x:.1f},{_HEIGHT - 3 - share * (_HEIGHT - 6):.1f}")
-    return " ".join(points)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from audio_features.archive import parse_json, read_bytes
-from audio_features.atomic import atomic_write, remove_unfinished
+from audio_features.atomic import atomic_write, remove_unfinished, write_text
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.jobs.records import claimed, running
 from gesturekit.training.config import dotted, dump_yaml, read_yaml
@@ -91,9 +91,7 @@ class Checkpoints:
 
     def steps(self) -> list[int]:
         """Return the steps that have a checkpoint, oldest first."""
-        if not self.folder.is_dir():
-            return []
-        matches = (_CHECKPOINT.fullmatch(path.name) for path in self.folder.iterdir())
+        matches = (_CHECKPOINT.fullmatch(path.name) for path in self.folder.glob("*"))
         return sorted(int(match[1]) for match in matches if match)
 
     def path(self, step: int) -> Path:
@@ -191,10 +189,10 @@ class Run:
 
     def begin(self) -> None:
         """Write the files that mark the folder as a run, once the training data is read."""
-        self._write("command.txt", shlex.join(sys.argv) + "\n")
-        self._write("versions.json", json.dumps(_versions(), indent=1) + "\n")
+        write_text(self.folder / "command.txt", shlex.join(sys.argv) + "\n")
+        write_text(self.folder / "versions.json", json.dumps(_versions(), indent=1) + "\n")
         # Last: a folder with a config.yaml holds a run.
-        self._write("config.yaml", dump_yaml(self._config))
+        write_text(self.folder / "config.yaml", dump_yaml(self._config))
 
     def hold(self) -> None:
         """Keep other processes out of the folder until `close`, before anything is written.
@@ -206,15 +204,11 @@ class Run:
         self._claim.callback(self._clear)
         self._check()
 
-    def _write(self, name: str, text: str) -> None:
-        with atomic_write(self.folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-
     def forget_metrics_after(self, step: int) -> None:
         """Drop lines that a killed run wrote after its last checkpoint."""
         if self._metrics.exists():
             kept = [f"{json.dumps(line)}\n" for line in self._logged() if line["step"] <= step]
-            self._write(self._metrics.name, "".join(kept))
+            write_text(self._metrics, "".join(kept))
 
     def _logged(self) -> Iterator[dict[str, Any]]:
         """Yield the lines of `metrics.jsonl`, without one that was being written at a kill."""
@@ -241,26 +235,20 @@ class Run:
                 self._events.add_scalar(name, value, step)
         began = time.monotonic()
         if began >= self._report_due:
-            write_report(self.folder, is_running=True)
+            write_report(self.folder, [*self._logged()], is_running=True)
             end = time.monotonic()
             self._report_due = end + max(_LEAST_SECONDS, (end - began) / _MOST_SHARE)
 
     def last_metrics(self) -> dict[str, float]:
         """Return the last logged losses, without step, labels and timing."""
-        losses = [logged for logged in self._logged() if "kind" not in logged]
-        return {
-            name: value
-            for name, value in (losses[-1] if losses else {}).items()
-            if isinstance(value, float) and name != "seconds_per_iteration"
-        }
+        last = ([line for line in self._logged() if "kind" not in line] or [{}])[-1]
+        last.pop("seconds_per_iteration", None)
+        return {name: value for name, value in last.items() if isinstance(value, float)}
 
     def evaluations(self, level: int) -> list[dict[str, Any]]:
         """Return the log lines with `kind: evaluation` of a level, oldest first."""
-        return [
-            line
-            for line in self._logged()
-            if line.get("kind") == "evaluation" and line.get("level") == level
-        ]
+        lines = (line for line in self._logged() if line.get("kind") == "evaluation")
+        return [line for line in lines if line.get("level") == level]
 
     def has(self, step: int, kind: str) -> bool:
         """Return True if a line of this kind was logged for a step."""
@@ -269,7 +257,7 @@ class Run:
     def close(self) -> None:
         """Finish writing TensorBoard events and the report, and give the folder back."""
         if self._report_due:
-            write_report(self.folder, is_running=False)
+            write_report(self.folder, [*self._logged()], is_running=False)
         if self._events is not None:
             self._events.close()
         self._claim.close()
@@ -285,11 +273,9 @@ def has_no_run(folder: Path) -> bool:
 
     A folder with anything else may have been named by mistake.
     """
-    if not folder.exists():
-        return True
-    if not folder.is_dir():
+    if folder.exists() and not folder.is_dir():
         return False
-    names = [path.name for path in folder.iterdir()]
+    names = [path.name for path in folder.glob("*")]
     return all(name in _BEFORE_CONFIG or name.startswith(".") for name in names)
 
 
@@ -299,8 +285,7 @@ def _versions() -> dict[str, str]:
     versions = {"python": platform.python_version(), "platform": platform.platform()}
     versions["cpu threads"] = str(torch.get_num_threads())
     for name in _VERSIONS_OF:
-        try:
+        versions[name] = "not installed as a package"
+        with suppress(importlib.metadata.PackageNotFoundError):
             versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed as a package"
     return versions

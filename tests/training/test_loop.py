@@ -11,9 +11,9 @@ from small_runs import small_diffusion
 
 from gesturekit.errors import ModelError
 from gesturekit.training.config import to_dict
-from gesturekit.training.loop import Loop
 from gesturekit.training.run_folder import Run
 from gesturekit.training.session import Processes
+from gesturekit.training.trainer import Loop
 
 PLAN = [(5, 1.0), (4, 2.0)]
 EVERY = {"log_every": 3, "checkpoint_every": 4, "eval_every": 4}

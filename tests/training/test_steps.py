@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from gesturekit.training.loop import Steps
+from gesturekit.training.trainer import Steps
 
 
 @pytest.fixture
