@@ -32,8 +32,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.root_path import RootPath
 from gesturekit.postprocess import Placement
 from gesturekit.state.process import given_state
-from gesturekit.training.clips import InbetweenClips
-from gesturekit.training.own_rig import on_rig, pose_on_rig
+from gesturekit.training.clips import InbetweenClips, on_rig, pose_on_rig
 
 if TYPE_CHECKING:
     from gesturekit.diffusion.experts import Member

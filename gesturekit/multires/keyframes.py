@@ -23,8 +23,7 @@ from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.training.clips import ground_positions
-from gesturekit.training.own_rig import on_rig
+from gesturekit.training.clips import ground_positions, on_rig
 
 _EASE_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths the correction of the root's path."""

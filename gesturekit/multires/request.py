@@ -21,8 +21,7 @@ from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.keyframes import fit_keyframes, full_frames
 from gesturekit.postprocess import Placement
 from gesturekit.state.process import given_state
-from gesturekit.training.clips import InbetweenClips
-from gesturekit.training.own_rig import pose_on_rig
+from gesturekit.training.clips import InbetweenClips, pose_on_rig
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:

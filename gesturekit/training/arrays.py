@@ -15,7 +15,7 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -230,8 +230,12 @@ def stored_arrays(
     if tasks:
         log.info("%s of the corpus are made in %s.", counted(len(tasks), "array"), folder)
         make = partial(_make, arrays, tuple(maker for maker, _ in wanted))
-        problems = map(make, tasks) if workers < 2 else _by_workers(make, tasks, workers)
-        for problem in Progress(problems, total=len(tasks), desc="Making arrays", unit="array"):
+        here = ((task, make(task)) for task in tasks)
+        results = here if workers < 2 else in_processes(make, tasks, workers)
+        progress = Progress(results, total=len(tasks), desc="Making arrays", unit="array")
+        for (_, item, _), problem in progress:
+            if isinstance(problem, Failure):
+                raise CorpusError(f"item {item.id}: {problem}; arrays made so far are kept")
             if problem is not None:
                 raise type(problem)(f"{problem}; arrays made so far are kept")
     return [arrays.find_all(keys_of_maker) for keys_of_maker in keys]
@@ -258,12 +262,3 @@ def _make(
         todo = "make room" if is_full(error) else "arrays=FOLDER names another folder"
         return OutputError(f"{arrays.folder}: {error.strerror}; {todo}")
     return None
-
-
-def _by_workers(
-    make: Callable[[_Task], Exception | None], tasks: Sequence[_Task], workers: int
-) -> Iterator[Exception | None]:
-    """Yield the error of each task, or None, as it is done."""
-    for (_, item, _), result in in_processes(make, tasks, workers):
-        failed = isinstance(result, Failure)
-        yield CorpusError(f"item {item.id}: {result}") if failed else result

@@ -1,25 +1,89 @@
-"""Clips that a generated motion must contain (in-betweening), and blending of motion to them."""
+"""Motions that a request gives: retargeting to a model's rig, clips to keep (in-betweening)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from gesturekit.errors import ModelError
+from gesturekit.errors import ModelError, MotionError
+from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import find_parts
 from gesturekit.motion.resampling import smoothstep
+from gesturekit.motion.retarget import retarget
+from gesturekit.motion.retarget.standing_pose import standing_pose
 from gesturekit.motion.root_path import heading
 from gesturekit.motion.rotations import slerp
 from gesturekit.motion.skeleton import GROUND
-from gesturekit.training.own_rig import on_rig
 
 BLEND = 0.4
 """Seconds over which generated motion is blended to the end of a clip."""
+_AROUND_SECONDS = 60.0
+"""Seconds before and after a pose that are retargeted with it."""
+
+
+def on_rig(model: ModelJoints, motion: Motion) -> Motion:
+    """Return the motion on the model's rig, retargeted if its own rig is different.
+
+    Raises:
+        ModelError: the motion cannot be retargeted.
+    """
+    rig = model.skeleton
+    if (motion.skeleton.names, motion.skeleton.parents) == (rig.names, rig.parents):
+        return motion
+    mean = Motion(rig, model.fixed_rotations[None], np.zeros((1, 3)), 1.0)
+    try:
+        upright = standing_pose(mean)
+    except MotionError:  # the mean training pose does not stand
+        upright = None
+    try:
+        return retarget(motion, rig, pose=upright)
+    except MotionError as error:
+        raise ModelError(f"the motion cannot be retargeted to the model's rig: {error}") from None
+
+
+def pose_on_rig(
+    model: ModelJoints, read: Callable[[int], tuple[Motion, int]], default: int
+) -> Motion:
+    """Return a frame of a motion as a pose of the model's rig; arguments as for `Placement.of`.
+
+    Of a motion on another rig, joints without a counterpart keep the pose that the model gives
+    them, and `info["floor"]` is the height of its floor on the model's rig, metres.
+
+    Raises:
+        ModelError: the motion cannot be retargeted.
+    """
+    whole, frame = read(default)
+    # Retargeting finds out how a rig stands, for which a minute before and after is enough.
+    around = math.ceil(_AROUND_SECONDS * whole.fps)
+    first = max(0, frame - around)
+    motion, frame = whole[first : frame + around], frame - first
+    retargeted = on_rig(model, motion)
+    pose, given = (m[frame : frame + 1] for m in (retargeted, motion))
+    if retargeted is motion:
+        return pose
+    source, target = (find_parts(m.skeleton) for m in (given, pose))
+    rotations, translation = pose.rotations.copy(), pose.translation.copy()
+    if not source.fingers:
+        others = [j for j in range(model.skeleton.n_joints) if j not in model.indices]
+        rotations[:, others] = model.fixed_rotations[others]
+    # Retargeting scales the way from the first frame; a place in a scene has no scale.
+    places = [
+        m.positions()[:, m.skeleton.index(parts.pelvis)]
+        for m, parts in ((given, source), (pose, target))
+    ]
+    translation[:, GROUND] += (places[0] - places[1])[:, GROUND]
+    return replace(
+        pose,
+        rotations=rotations,
+        translation=translation,
+        info={"floor": floor_height(retargeted)},
+    )
 
 
 class InbetweenClips:
@@ -107,6 +171,7 @@ class InbetweenClips:
         skeleton = motion.skeleton
         modelled = {*self.rig.indices, *skeleton.ancestors(self.rig.root)}
         others = [j for j in range(skeleton.n_joints) if j not in modelled]
+        inside = self.given(motion.n_frames) == 1
         for begin, clip in self.clips:
             stop = begin + clip.n_frames
             rotations[begin:stop], translation[begin:stop] = clip.rotations, clip.translation
@@ -122,7 +187,7 @@ class InbetweenClips:
             for edge, step in ((begin, -1), (stop - 1, 1)):
                 for k, fraction in enumerate(_fractions(round(BLEND * self.fps)), 1):
                     frame = edge + step * k
-                    if not self._is_free(frame, motion.n_frames):
+                    if not 0 <= frame < motion.n_frames or inside[frame]:
                         break
                     if faces is not None:
                         faces[frame] += smoothstep(1 - fraction) * (faces[edge] - faces[frame])
@@ -138,11 +203,6 @@ class InbetweenClips:
             joint_translations=moving,
             face=track,
         )
-
-    def _is_free(self, frame: int, n_frames: int) -> bool:
-        """Return whether a frame exists and lies in no clip."""
-        inside = any(begin <= frame < begin + clip.n_frames for begin, clip in self.clips)
-        return 0 <= frame < n_frames and not inside
 
 
 def ground_positions(rig: ModelJoints, motion: Motion) -> np.ndarray:

@@ -220,12 +220,10 @@ def conditioner_tensors(conditioner: SpeechConditioner | None) -> dict[str, Tens
     """Return the statistics of a conditioner by their names in model and run folders."""
     if conditioner is None:
         return {}
-    tensors = {
-        "features.centre": torch.from_numpy(conditioner.centre),
-        "features.scale": torch.from_numpy(conditioner.scale),
-    }
-    if conditioner.components is not None:
-        tensors["features.components"] = torch.from_numpy(conditioner.components)
+    tensors = {}
+    for name in ("centre", "scale", "components"):
+        if (values := getattr(conditioner, name)) is not None:
+            tensors[f"features.{name}"] = torch.from_numpy(values)
     return tensors
 
 

@@ -32,9 +32,9 @@ from gesturekit.motion.parts import unidentified
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.state.process import StateProcess, state_tensors
+from gesturekit.training.clips import on_rig
 from gesturekit.training.config import dump_yaml, read_yaml
 from gesturekit.training.features import conditioner_tensors
-from gesturekit.training.own_rig import on_rig
 from gesturekit.training.run_config import MOST_SMOOTH
 from gesturekit.training.run_folder import read_rig, unfinished
 from gesturekit.training.seeds import rng_for

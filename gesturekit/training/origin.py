@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from audio_features.atomic import atomic_write
+from audio_features.atomic import write_text
 from gesturekit.corpus.checks import first_difference
 from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.errors import ConfigError
@@ -143,8 +143,7 @@ def from_values(values: Iterable[dict[str, Any]]) -> tuple[TrainedSegment, ...]:
 
 def save_sources(folder: Path, sources: Iterable[TrainedSegment]) -> None:
     """Write `trained_on.json` into a model folder."""
-    with atomic_write(folder / FILE) as temporary:
-        temporary.write_text(json.dumps([*map(asdict, sources)], indent=1), encoding="utf-8")
+    write_text(folder / FILE, json.dumps([*map(asdict, sources)], indent=1))
 
 
 def load_sources(folder: Path) -> tuple[TrainedSegment, ...]:
@@ -245,8 +244,7 @@ def check_rig(
     Raises:
         ConfigError: another rig.
     """
-    different = first_difference(skeleton, known)
-    if different:
+    if different := first_difference(skeleton, known):
         raise ConfigError(f"{setting}: {folder} has another rig than {corpus}: {different}")
 
 
@@ -260,8 +258,5 @@ def start_tensors(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 def read_start(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return the inverse of `start_tensors`; empty for a run that starts from random weights."""
-    return {
-        name.removeprefix(_PREFIX): value
-        for name, value in tensors.items()
-        if name.startswith(_PREFIX)
-    }
+    started = {name: value for name, value in tensors.items() if name.startswith(_PREFIX)}
+    return {name.removeprefix(_PREFIX): value for name, value in started.items()}

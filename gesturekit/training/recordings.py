@@ -314,21 +314,16 @@ def training_items(manifest: Manifest, corpus: Path, *, with_audio: bool) -> tup
     Raises:
         CorpusError: there are none.
     """
-    if with_audio:
-        items = manifest.paired("train")
-        if not items:
-            raise CorpusError(
-                f"{corpus}: no item of split train has both audio and motion; run "
-                "gesturekit prepare on a folder of wav + BVH pairs, or train without speech "
-                "(features=null)"
-            )
-        return items
-    items = tuple(item for item in manifest if item.split == "train" and item.motion is not None)
+    items = manifest.paired("train")
+    lacking = (
+        "both audio and motion; run gesturekit prepare on a folder of wav + BVH pairs, or train "
+        "without speech (features=null)"
+    )
+    if not with_audio:
+        items = tuple(i for i in manifest if i.split == "train" and i.motion is not None)
+        lacking = "motion; run gesturekit prepare --unpaired-motion on a folder of BVH files"
     if not items:
-        raise CorpusError(
-            f"{corpus}: no item of split train has motion; "
-            "run gesturekit prepare --unpaired-motion on a folder of BVH files"
-        )
+        raise CorpusError(f"{corpus}: no item of split train has {lacking}")
     return items
 
 
@@ -338,14 +333,15 @@ def item_styles(items: Sequence[Item], corpus: Path) -> tuple[tuple[str, ...], l
     Raises:
         CorpusError: an item without style.
     """
-    nameless = [item.id for item in items if item.style is None]
-    if nameless:
+    named = [item.style for item in items if item.style is not None]
+    if len(named) < len(items):
+        nameless = next(item.id for item in items if item.style is None)
         raise CorpusError(
-            f"{corpus}: item {nameless[0]} has no style ({len(nameless)} have none); "
+            f"{corpus}: item {nameless} has no style ({len(items) - len(named)} have none); "
             "gesturekit prepare --style-pattern takes styles from file names"
         )
-    styles = tuple(sorted({item.style for item in items if item.style is not None}))
-    return styles, [styles.index(item.style) for item in items if item.style is not None]
+    styles = tuple(sorted({*named}))
+    return styles, [*map(styles.index, named)]
 
 
 def load_motions(

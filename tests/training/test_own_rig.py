@@ -8,7 +8,7 @@ from rigs import prefixed
 
 from gesturekit.diffusion import DeltaRepresentation
 from gesturekit.errors import ModelError
-from gesturekit.training.own_rig import on_rig, pose_on_rig
+from gesturekit.training.clips import on_rig, pose_on_rig
 
 
 def test_a_pose_of_another_rig_keeps_its_place_and_names_its_floor(gesture):
