@@ -2,7 +2,6 @@
 
 # No `from __future__ import annotations` here: `control_entries` reads annotations as objects.
 import math
-import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -31,16 +30,6 @@ if TYPE_CHECKING:
     from audio_features.files import Files
     from gesturekit.corpus.speech import Speech
     from gesturekit.motion.root_path import RootPath
-
-
-_TYPES: dict[Any, tuple[Any, str]] = {
-    str: (str, "text"),
-    # No NumPy bool is a bool; everything else of another type is a mistake, such as "no".
-    bool: ((bool, np.bool_), "True or False"),
-    int: (Integral, "an integer"),
-    float: (Real, "a number"),
-}
-"""Types of the values of a control by its `kind`, and their name."""
 
 
 @dataclass(frozen=True)
@@ -93,27 +82,31 @@ class Control:
             for file in value.values() if isinstance(value, Mapping) else [value]:
                 if isinstance(file, str | Path) and not Path(file).exists():
                     raise FormatError(f"{name}: {file}: no such file")
-        if self.kind not in _TYPES:
-            return
-        bounds = (
-            ("above", self.above, operator.gt),
-            ("at least", self.least, operator.ge),
-            ("at most", self.most, operator.le),
+        elif self.kind is not None and not self._allows(value):
+            raise ModelError(f"{name}={value!r}: expected {self._allowed()}")
+
+    def _allows(self, value: Any) -> bool:
+        if self.kind in (str, bool):
+            # No NumPy bool is a bool; everything else of another type is a mistake, such as "no".
+            is_right = isinstance(value, (str,) if self.kind is str else (bool, np.bool_))
+            return is_right and (not self.choices or value in self.choices)
+        is_number = isinstance(value, Integral if self.kind is int else Real)
+        if not is_number or isinstance(value, bool) or not math.isfinite(value):
+            return False
+        return (
+            (self.above is None or value > self.above)
+            and (self.least is None or value >= self.least)
+            and (self.most is None or value <= self.most)
         )
-        limits = [(word, limit, holds) for word, limit, holds in bounds if limit is not None]
-        types, expected = _TYPES[self.kind]
-        is_number = self.kind in (int, float)
-        if (
-            isinstance(value, types)
-            and (not self.choices or value in self.choices)
-            and not (is_number and (isinstance(value, bool) or not math.isfinite(value)))
-            and all(holds(value, limit) for _, limit, holds in limits)
-        ):
-            return
-        expected += " and".join(f" {word} {limit:g}" for word, limit, _ in limits)
+
+    def _allowed(self) -> str:
         if self.choices:
-            expected = f"one of {', '.join(self.choices)}"
-        raise ModelError(f"{name}={value!r}: expected {expected}")
+            return f"one of {', '.join(self.choices)}"
+        if self.kind in (str, bool):
+            return "text" if self.kind is str else "True or False"
+        bounds = {"above": self.above, "at least": self.least, "at most": self.most}
+        text = " and ".join(f"{w} {value:g}" for w, value in bounds.items() if value is not None)
+        return f"{'an integer' if self.kind is int else 'a number'} {text}".strip()
 
 
 def split_seconds(text: str) -> tuple[str, float | None]:

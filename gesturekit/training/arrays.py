@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -78,13 +77,12 @@ class StoredArray:
         """
         (n_frames, columns), width = self.shape, 4 * self.shape[1]
         try:
-            with self.path.open("rb", buffering=0) as file:
-                header = file.seek(0, os.SEEK_END) - n_frames * width
-                if not 0 < header <= _LONGEST_HEADER:
-                    raise ValueError(f"not {n_frames} frames of {columns} numbers")
-                file.seek(header + start * width)
-                count = max(0, min(stop, n_frames) - start)
-                return np.fromfile(file, np.float32, count * columns).reshape(count, columns)
+            header = self.path.stat().st_size - n_frames * width
+            if not 0 < header <= _LONGEST_HEADER:
+                raise ValueError(f"not {n_frames} frames of {columns} numbers")
+            count = max(0, min(stop, n_frames) - start) * columns
+            numbers = np.fromfile(self.path, np.float32, count, offset=header + start * width)
+            return numbers.reshape(-1, columns)
         except (OSError, ValueError) as error:
             raise ConfigError(
                 f"{self.path}: this array cannot be read ({error}); remove it, and start again"

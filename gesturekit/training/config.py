@@ -94,11 +94,6 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     return values
 
 
-def read_chain(path: str | Path) -> dict[str, Any]:
-    """Return a file's values over those of its `base:` files, unchecked, paths as written."""
-    return _with_parents(Path(path), None)
-
-
 def load_config(
     path: str | Path,
     schema: type[Schema],
@@ -116,7 +111,7 @@ def load_config(
     Raises:
         ConfigError: unknown key, wrong type, a chain of parents that does not end.
     """
-    merged, given = _with_parents(Path(path), schema), dict[str, Any]()
+    merged, given = read_chain(path, schema), dict[str, Any]()
     for override in overrides:
         key, separator, text = override.partition("=")
         try:
@@ -138,7 +133,12 @@ def load_config(
         raise
 
 
-def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, Any]:
+def read_chain(path: str | Path, schema: type | None = None, depth: int = 8) -> dict[str, Any]:
+    """Return a file's values over those of its `base:` files, unchecked.
+
+    Paths are as written; with the schema that names them, absolute.
+    """
+    path = Path(path)
     values: dict[str, Any] = {}
     for key, value in read_yaml(path).items():
         values = _merge(values, _nested(key, value))
@@ -152,7 +152,7 @@ def _with_parents(path: Path, schema: type | None, depth: int = 8) -> dict[str, 
     parent = path.parent / base
     if not parent.exists():
         parent = recipe_config(base) or parent
-    return _merge(_with_parents(parent, schema, depth - 1), values)
+    return _merge(read_chain(parent, schema, depth - 1), values)
 
 
 def _nested(key: Any, value: Any) -> dict[Any, Any]:
@@ -400,7 +400,11 @@ def list_settings(config: Any, prefix: str = "") -> Iterator[Setting]:
     sections = []
     for field in dataclasses.fields(config):
         name, value = f"{prefix}{field.name}", getattr(config, field.name)
-        doc, default = docs.get(field.name, ""), _default(field)
+        doc, default = docs.get(field.name, ""), "required"
+        if field.default_factory is not MISSING:
+            default = _on_one_line(field.default_factory())
+        elif field.default is not MISSING:
+            default = _on_one_line(field.default)
         if dataclasses.is_dataclass(value):
             doc = doc or (type(value).__doc__ or "").partition("\n")[0]
             heading = Setting(name, None, "null" if default == "null" else None, doc)
@@ -411,14 +415,6 @@ def list_settings(config: Any, prefix: str = "") -> Iterator[Setting]:
     for heading, section in sections:
         yield heading
         yield from list_settings(section, f"{heading.name}.")
-
-
-def _default(field: dataclasses.Field[Any]) -> str:
-    if field.default is not MISSING:
-        return _on_one_line(field.default)
-    if field.default_factory is not MISSING:
-        return _on_one_line(field.default_factory())
-    return "required"
 
 
 def _on_one_line(value: Any) -> str:

@@ -6,8 +6,8 @@ import logging
 import shlex
 import shutil
 import time
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ MOST_SHARE = 0.05
 NO_VERDICT = "No verdict: the clips are too short, or the rig's arms and legs are not known."
 
 
+@dataclass(eq=False)
 class HeldOutMetrics:
     """Evaluation of a model on the corpus's test items, else its valid, else its training items.
 
@@ -45,22 +46,20 @@ class HeldOutMetrics:
     other splits. Items are read at the first measurement. Training goes on with a warning where
     nothing can be measured.
 
-    Args:
+    Attributes:
         config: of the run.
         run: folder in which clips are written and metrics are logged.
         speech: measure the items with sound alone, and pass it to the model.
         styles: styles of the model; items of other styles are not measured.
     """
 
-    def __init__(
-        self, config: RunConfig, run: Run, *, speech: bool, styles: Collection[str] = ()
-    ) -> None:
-        self.config = config
-        self.run = run
-        self.speech = speech
-        self.styles = styles
-        self._measured = time.monotonic()
-        self._took = 0.0
+    config: RunConfig
+    run: Run
+    speech: bool
+    styles: Collection[str] = ()
+
+    def __post_init__(self) -> None:
+        self._measured, self._took = time.monotonic(), 0.0
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
@@ -177,7 +176,12 @@ class HeldOutMetrics:
             log.info("Step %d%s: %s", step, so_far, said)
         kind = self.folder.name
         if not self.run.has(step, kind):
-            self.run.log(step, dict(_logged(result, kind)), kind=kind, verdict=said)
+            values: dict[str, float] = {}
+            for key, found in result.metrics.items():
+                of = {"": found.interval.value, "_recording": found.recording}
+                of["_chance"] = found.chance
+                values |= {f"{kind}/{key}{own}": v for own, v in of.items() if v is not None}
+            self.run.log(step, values, kind=kind, verdict=said)
         return said
 
     def _evaluated(self, model: Any, controls: dict[str, Any], *, keep: bool) -> ModelResult:
@@ -208,12 +212,3 @@ class HeldOutMetrics:
 def _seconds(items: Sequence[Item]) -> float:
     """Return the length of items together, seconds."""
     return sum(item.duration for item in items)
-
-
-def _logged(measured: ModelResult, kind: str) -> Iterator[tuple[str, float]]:
-    """Yield (name, value) of each metric, of the recordings' own, and of its chance level."""
-    for key, result in measured.metrics.items():
-        yield f"{kind}/{key}", result.interval.value
-        for name in ("recording", "chance"):
-            if (value := getattr(result, name)) is not None:
-                yield f"{kind}/{key}_{name}", value

@@ -149,9 +149,7 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], A
     try:
         checked_fps(float(config["fps"]))
         model = assemble(ModelParts(folder, config, rig, tensors))
-    except af.FeatureError as error:
-        raise ModelError(f"{path}: features: {error}") from error
-    except (af.AudioFeaturesError, ModelError):
+    except (af.AudioError, af.WeightsError, ModelError):
         raise
     except Exception as error:
         # Damage, memory that ran out, a library that is missing. torch lists every tensor that does
@@ -161,6 +159,8 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], A
         why = f"the model is damaged or cannot be used ({reason})"
         if isinstance(error, torch.cuda.OutOfMemoryError):
             why = f"{memory_ran_out(error)}; free it, or load the model with device cpu"
+        elif isinstance(error, af.FeatureError):
+            folder, why = path, f"features: {error}"
         raise ModelError(f"{folder}: {why}") from error
     if missing := unidentified(model.skeleton):
         locked = "feet are not locked, and " if missing.startswith("legs") else ""
@@ -229,7 +229,7 @@ class TrainedModel(ABC):
             return Inputs()
         return Inputs(speech=True, words=speech.takes_words, files=speech.files)
 
-    def problems(self, controls: Controls, samples: int) -> Iterator[str]:
+    def problems(self, controls: Mapping[str, Any], samples: int) -> Iterator[str]:
         """Yield what is wrong with a request's common controls, and its number of motions."""
         speaker = controls["speaker"]
         if speaker is not None and speaker not in self.speakers:
@@ -243,16 +243,12 @@ class TrainedModel(ABC):
             yield "face='phones': pip install 'gesturekit[face]' first, or take face='energy'"
         if controls["state"] is not None and self.state_process is None:
             yield "state: this model was trained without the state of movement"
-        for name, value, default in (
-            ("liveliness", controls["liveliness"], 1),
-            ("mood_seed", controls["mood_seed"], None),
-        ):
-            if value == default:
-                continue
-            if self.state_process is None:
+        for name, default in (("liveliness", 1), ("mood_seed", None)):
+            value = controls[name]
+            if value != default and self.state_process is None:
                 yield f"{name}={value}: only models that draw how lively they are take it"
             for other in ("like", "state"):
-                if controls[other] is not None:
+                if value != default and controls[other] is not None:
                     yield f"{name}={value}: {other} sets the movement; give one of them"
 
     @torch.no_grad()

@@ -376,8 +376,7 @@ def load_motions(
         log.warning(
             "fps: %g is far above the recordings' %g: training takes more time and memory, and "
             "the motion gains no detail",
-            fps,
-            highest,
+            *(fps, highest),
         )
     return _with_one_body_each(items, motions, corpus)
 
@@ -419,11 +418,7 @@ def _with_one_body_each(
         among = f" and genders {listed(genders)}" if len(genders) > 1 else ""
         log.warning(
             "%s: %s of %s have %d body shapes%s; the mean of their betas is used%s",
-            corpus,
-            counted(len(numbers), "recording"),
-            who,
-            len(shapes),
-            among,
+            *(corpus, counted(len(numbers), "recording"), who, len(shapes), among),
             f", as {body.body_shape.gender or 'neutral'}" if among else "",
         )
         for k in numbers:

@@ -67,31 +67,27 @@ class Processes:
         Raises:
             ConfigError: torchrun's variables are incomplete or not numbers.
         """
-        if "WORLD_SIZE" not in os.environ:
-            yield cls()
-            return
-        names = ("RANK", "WORLD_SIZE", "LOCAL_RANK")
-        try:
-            rank, count, local = (int(os.environ[name]) for name in names)
-            here = int(os.environ.get("LOCAL_WORLD_SIZE", count))
-        except (KeyError, ValueError) as error:
-            raise ConfigError(
-                f"environment: {', '.join(names)} and LOCAL_WORLD_SIZE, if it is set, must be "
-                f"numbers ({error}); torchrun sets them"
-            ) from None
-        processes = cls(rank, count, local)
+        names, rank, count, local, here = ("RANK", "WORLD_SIZE", "LOCAL_RANK"), 0, 1, 0, 1
+        if "WORLD_SIZE" in os.environ:
+            try:
+                rank, count, local = (int(os.environ[name]) for name in names)
+                here = int(os.environ.get("LOCAL_WORLD_SIZE", count))
+            except (KeyError, ValueError) as error:
+                raise ConfigError(
+                    f"environment: {', '.join(names)} and LOCAL_WORLD_SIZE, if it is set, must be "
+                    f"numbers ({error}); torchrun sets them"
+                ) from None
+        processes, backend = cls(rank, count, local), "gloo"
         if count == 1:
             yield processes
             return
-        backend = "gloo"
         if device in ("auto", "cuda") and torch.cuda.is_available():
             torch.cuda.set_device(processes.device(device))
             gpus = torch.cuda.device_count()
             backend = "nccl" if here <= gpus else "gloo"
             if here > gpus and processes.is_first:
-                log.warning(
-                    "%d processes share %d GPU(s), which is slower than one each", here, gpus
-                )
+                shared = "%d processes share %d GPU(s), which is slower than one each"
+                log.warning(shared, here, gpus)
         distributed.init_process_group(backend, timeout=_LONGEST_WAIT)
         try:
             yield processes

@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import math
 import time
+import timeit
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -51,26 +51,24 @@ class Due:
     checkpoint: bool
 
 
+@dataclass
 class Loop:
     """Count training steps; log their losses, and say what else is due after each of them.
 
     Every `log_every` steps the means of the losses are logged, and every `checkpoint_every` steps
     a checkpoint is due; both also at the end of a stage. Only the first process writes.
 
-    Args:
+    Attributes:
         config: of the run.
         run: its folder.
         processes: of the run.
         held_out: decides when held-out recordings are measured.
     """
 
-    def __init__(
-        self, config: RunConfig, run: Run, processes: Processes, held_out: HeldOutMetrics
-    ) -> None:
-        self.config = config
-        self.run = run
-        self.processes = processes
-        self.held_out = held_out
+    config: RunConfig
+    run: Run
+    processes: Processes
+    held_out: HeldOutMetrics
 
     def resume(self) -> tuple[int, dict[str, Any] | None]:
         """Return the last checkpoint's step and state, or (0, None); drop later log lines."""
@@ -190,15 +188,13 @@ class Steps(Progress):
     def __init__(
         self, stages: Sequence[tuple[int, float]], done: int, *, quiet: bool, noun: str = "step"
     ) -> None:
-        self._cost_left, skipped = 0.0, done
-        for steps, cost in stages:
-            self._cost_left += max(steps - skipped, 0) * cost
-            skipped = max(skipped - steps, 0)
+        costs = [cost for steps, cost in stages for _ in range(steps)]
+        self._cost_left = sum(costs[done:])
         self._paid = 0.0
         self._since: float | None = None
         self._is_said = quiet
         super().__init__(
-            total=sum(steps for steps, _ in stages),
+            total=len(costs),
             initial=done,
             unit=noun,
             disable=quiet,
@@ -474,8 +470,4 @@ def silently(work: Callable[[], _T], level: int = logging.INFO) -> _T:
 
 def quickest(work: Callable[[], object], times: int) -> float:
     """Return the seconds of the quickest of several calls, as other programs only add to them."""
-    clock = [time.monotonic()]
-    for _ in range(times):
-        work()
-        clock.append(time.monotonic())
-    return min(after - before for before, after in pairwise(clock))
+    return min(timeit.repeat(work, timer=time.monotonic, repeat=times, number=1))
