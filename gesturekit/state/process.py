@@ -540,32 +540,23 @@ def given_state(process: StateProcess, state: str | Path | np.ndarray, n_frames:
     return np.pad(state, ((0, max(0, n_frames - len(state))), (0, 0)), mode="edge")[:n_frames]
 
 
-_SHAPES: dict[str, tuple[str, ...]] = {
-    "silence": ("S",),
-    "mean": ("C",),
-    "scale": ("C",),
-    "explained": ("C",),
-    "usual": ("3",),
-    "mixing": ("C", "C"),
-    "between": ("C - F",),
-    "width": ("C - F",),
-    "kernel": ("F", "R"),
-    "quantiles": ("G", "2", "C", "Q"),
-    "response": ("2", "C", "P"),
-    "followed": ("C",),
-}
-_RANGES = {
-    "scale": (1e-6, 1e6),
-    "explained": (-1, 1),
-    "mixing": (-2, 2),
-    "between": (0, 1),
-    "width": (0.1, 100),
-    "kernel": (-2, 2),
-    "followed": (0.1, 1),
-    "mean_counts": (0, 1),
-    "spread": (0, 1e4),
-}
 _WIDEST = (-1e6, 1e6)
+_ARRAYS: dict[str, tuple[str, float, float]] = {
+    "silence": ("S", *_WIDEST),
+    "mean": ("C", *_WIDEST),
+    "scale": ("C", 1e-6, 1e6),
+    "explained": ("C", -1, 1),
+    "usual": ("3", *_WIDEST),
+    "mixing": ("C C", -2, 2),
+    "between": ("C-F", 0, 1),
+    "width": ("C-F", 0.1, 100),
+    "kernel": ("F R", -2, 2),
+    "quantiles": ("G 2 C Q", *_WIDEST),
+    "response": ("2 C P", *_WIDEST),
+    "followed": ("C", 0.1, 1),
+}
+"""Shape, least and largest value of the tensors of a process."""
+_FACTORS = {"mean_counts": ("", 0, 1), "spread": ("", 0, 1e4)}
 _TAKE = (0.1, 1e7)  # seconds; a single take may have hours
 _MOST_POINTS = 1000  # of a filter, and of quantiles
 _OF_REGRESSION = ("mean", "weights", "offset", "r")
@@ -595,7 +586,7 @@ def state_values(process: StateProcess) -> dict[str, Any]:
 
 def state_tensors(process: StateProcess) -> dict[str, Tensor]:
     """Return the tensors of a process by name."""
-    arrays = {name: getattr(process, name) for name in _SHAPES}
+    arrays = {name: getattr(process, name) for name in _ARRAYS}
     arrays["quantiles"] = np.stack(list(process.quantiles.values()))
     if process.wanted is not None:
         arrays |= {
@@ -634,13 +625,12 @@ def load_state(
         (None if speaker is None else str(speaker), None if style is None else int(style))
         for speaker, style in values["groups"]
     ]
-    arrays = {name: tensors[f"state.{name}"].double().numpy() for name in _SHAPES}
+    arrays = {name: tensors[f"state.{name}"].double().numpy() for name in _ARRAYS}
     n, n_fast = len(channels.names), int(channels.fast.sum())
-    sizes = {"S": speech_size, "C": n, "F": n_fast, "C - F": n - n_fast, "G": len(groups)}
-    sizes |= {"2": 2, "3": 3}
+    sizes = {"S": speech_size, "C": n, "F": n_fast, "C-F": n - n_fast, "G": len(groups)}
     for size, name in {"R": "kernel", "Q": "quantiles", "P": "response"}.items():
         sizes[size] = min(arrays[name].shape[-1], _MOST_POINTS)
-    _check(arrays, sizes)
+    _check(arrays, _ARRAYS, sizes)
     if tuple(values["channels"]) != channels.names:
         raise ValueError(f"state: the rig has the channels {', '.join(channels.names)}")
     wanted, ahead = _load_predictions(values, tensors, fps, speech_size)
@@ -671,8 +661,8 @@ def _load_predictions(
             mean, weights, offset, r = (tensors[name].numpy() for name in names)
             yield Regression(mean, weights, float(offset), float(r))
 
-    factors = {name: float(about[name]) for name in ("mean_counts", "spread")}
-    _check(factors, {})
+    factors = {name: float(about[name]) for name in _FACTORS}
+    _check(factors, _FACTORS, {})
     fast, slow = regressions("")
     wanted = WantedMovement(
         fps=fps,
@@ -696,13 +686,17 @@ def _load_predictions(
     return wanted, tuple(ahead)
 
 
-def _check(arrays: Mapping[str, Any], sizes: Mapping[str, int]) -> None:
+def _check(
+    arrays: Mapping[str, Any],
+    known: Mapping[str, tuple[str, float, float]],
+    sizes: Mapping[str, int],
+) -> None:
     """Raise ValueError for arrays of other shapes, or with values out of range."""
-    for name, array in arrays.items():
-        wanted = tuple(sizes[axis] for axis in _SHAPES.get(name, ()))
-        low, high = _RANGES.get(name, _WIDEST)
-        if np.shape(array) != wanted or not np.all((low <= array) & (array <= high)):
+    for name, (axes, low, high) in known.items():
+        shape = np.shape(array := arrays[name])
+        wanted = tuple(int(sizes.get(axis, axis)) for axis in axes.split())
+        if shape != wanted or not np.all((low <= array) & (array <= high)):
             raise ValueError(
-                f"state.{name} has the shape {np.shape(array)}; expected {wanted} and values from "
-                f"{low:g} to {high:g}"
+                f"state.{name} has the shape {shape}; expected {wanted} and values from {low:g} to "
+                f"{high:g}"
             )

@@ -129,13 +129,6 @@ class HeldOutMetrics:
         """Folder of the clips of the last measurement, and of their manifest."""
         return self.run.folder / ("held_out" if self.is_held_out else "recorded")
 
-    @property
-    def command(self) -> str:
-        """Command line that evaluates the kept clips, and has the same verdict."""
-        given = ["gesturekit", "evaluate", str(self.folder)]
-        split = [] if self.is_held_out else ["--split", "train"]
-        return shlex.join([*given, "--corpus", str(self.folder / "corpus.jsonl"), *split])
-
     def is_due(self) -> bool:
         """Return True if it is time to measure again."""
         return time.monotonic() - self._measured > max(EVERY_SECONDS, self._took / MOST_SHARE)
@@ -171,7 +164,9 @@ class HeldOutMetrics:
         if keep:  # the training ends with the verdict, in the model's README
             beside = neighbours(self._corpus, self._fitting[0].split)
             said += f" Warning: {beside}." if beside else ""
-            log.info("All metrics on %s: %s", self.what, self.command)
+            given = ["evaluate", str(self.folder), "--corpus", str(self.folder / "corpus.jsonl")]
+            given += [] if self.is_held_out else ["--split", "train"]
+            log.info("All metrics on %s: %s", self.what, shlex.join(["gesturekit", *given]))
         else:
             log.info("Step %d%s: %s", step, so_far, said)
         kind = self.folder.name

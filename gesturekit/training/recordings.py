@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import mode
 from typing import Any
 
+import numpy as np
 import torch
 
 from gesturekit.corpus.checks import first_difference
@@ -101,14 +102,14 @@ def systematic_sample(
     usual = sum(item.duration * min(length, item.duration) for item in items) / total
     step = total / max(1, round(seconds / usual))
     first = step * float(torch.rand((), generator=rng_for(seed, "sample of the corpus")))
-    chosen, begin, count = [], 0.0, 0
-    for i in order:
-        duration = items[i].duration
-        while first + count * step < begin + duration:
-            place, part = first + count * step - begin, min(length, duration)
-            chosen.append(Excerpt(i, min(place, duration - part), part))
-            count += 1
-        begin += duration
+    ends = np.cumsum([items[i].duration for i in order])
+    places = first + step * np.arange(math.ceil(total / step) + 1)
+    chosen = []
+    for place in places[places < ends[-1]].tolist():
+        k = int(np.searchsorted(ends, place, side="right"))
+        part = min(length, items[order[k]].duration)
+        start = place - float(ends[k - 1]) if k else place
+        chosen.append(Excerpt(order[k], min(start, items[order[k]].duration - part), part))
     missed = groups - {_group(items[excerpt.index]) for excerpt in chosen} if every_group else set()
     for i in order:
         if _group(items[i]) in missed:
