@@ -111,19 +111,12 @@ def model_digest(
     return digest.hexdigest()
 
 
-def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], Any]) -> Any:
-    """Read a model folder.
-
-    Args:
-        folder: as written by `save_model`.
-        kind: expected kind of model.
-        assemble: build the model from its parts.
+def load_parts(folder: Path, kind: str) -> ModelParts:
+    """Read the files of a model folder of this kind.
 
     Raises:
-        ModelError: a part is missing, damaged, or of a newer format, or a GPU's memory ran out.
-        WeightsError: WavLM weights are missing, or differ from those of training.
+        ModelError: a file is missing or damaged, or of another format or kind.
     """
-    folder = Path(folder)
     path, file = folder / "config.yaml", folder / "model.safetensors"
     try:
         config = read_yaml(path)
@@ -143,32 +136,24 @@ def load_model(folder: str | Path, kind: str, assemble: Callable[[ModelParts], A
             header = int.from_bytes(opened.read(8), "little")  # bytes of JSON about the tensors
         if header > _MOST_HEADER:
             raise ValueError(f"{header} bytes of names")
-        tensors = load_file(file)
+        return ModelParts(folder, config, rig, load_file(file))
     except (OSError, ValueError, SafetensorError) as error:
         raise ModelError(f"{file}: missing or damaged ({error})") from error
-    try:
-        checked_fps(float(config["fps"]))
-        model = assemble(ModelParts(folder, config, rig, tensors))
-    except (af.AudioError, af.WeightsError, ModelError):
-        raise
-    except Exception as error:
+
+
+def unusable(folder: Path, error: Exception) -> ModelError:
+    """Return the error about a folder of which no model can be built, on one line."""
+    if isinstance(error, torch.cuda.OutOfMemoryError):
+        why = f"{memory_ran_out(error)}; free it, or load the model with device cpu"
+    elif isinstance(error, af.FeatureError):
+        folder, why = folder / "config.yaml", f"features: {error}"
+    else:
         # Damage, memory that ran out, a library that is missing. torch lists every tensor that does
         # not fit, on a line of its own.
         reason = " ".join(str(error).splitlines()[:2]).replace("\t", " ")
         reason = f"{type(error).__name__}: {reason}".removesuffix(": ")
         why = f"the model is damaged or cannot be used ({reason})"
-        if isinstance(error, torch.cuda.OutOfMemoryError):
-            why = f"{memory_ran_out(error)}; free it, or load the model with device cpu"
-        elif isinstance(error, af.FeatureError):
-            folder, why = path, f"features: {error}"
-        raise ModelError(f"{folder}: {why}") from error
-    if missing := unidentified(model.skeleton):
-        locked = "feet are not locked, and " if missing.startswith("legs") else ""
-        log.warning(
-            "%s: %s of the rig cannot be identified: %sthe upper body is not smoothed",
-            *(folder, missing, locked),
-        )
-    return model
+    return ModelError(f"{folder}: {why}")
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -373,21 +358,30 @@ class TrainedModel(ABC):
         place = prepare_device(device)
         if dtype == "bf16":
             warn_of_slow_bfloat16(place)
-
-        def assemble(parts: ModelParts) -> Any:
+        parts = load_parts(Path(folder), cls.kind)
+        try:
             smooth = parts.config["smooth"]
             if not (smooth is None or 0 <= smooth <= MOST_SMOOTH):
                 raise ValueError(f"smooth: {smooth!r} must be 0 to {MOST_SMOOTH:g}")
-            return cls(
-                fps=float(parts.config["fps"]),
+            model = cls(
+                fps=checked_fps(float(parts.config["fps"])),
                 speakers=read_speakers(parts.rig),
                 smooth=None if smooth is None else float(smooth),
                 recorded_fps=checked_fps(parts.config["recorded_fps"]),
                 folder=parts.folder.resolve(),
                 **cls._fields(parts, weights, place, _DTYPES[dtype]),
             )
-
-        return load_model(folder, cls.kind, assemble)
+        except (af.AudioError, af.WeightsError, ModelError):
+            raise
+        except Exception as error:
+            raise unusable(parts.folder, error) from error
+        if missing := unidentified(model.skeleton):
+            locked = "feet are not locked, and " if missing.startswith("legs") else ""
+            log.warning(
+                "%s: %s of the rig cannot be identified: %sthe upper body is not smoothed",
+                *(folder, missing, locked),
+            )
+        return model
 
     @classmethod
     @abstractmethod

@@ -5,7 +5,6 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,11 +12,17 @@ import torch
 
 import audio_features as af
 from gesturekit.errors import ConfigError, ModelError
-from gesturekit.training.model_folder import ModelParts, load_model, model_digest, save_model
+from gesturekit.training.model_folder import (
+    ModelParts,
+    TrainedModel,
+    load_parts,
+    model_digest,
+    save_model,
+)
 from gesturekit.training.origin import check_conditions
 
-CONFIG = {"kind": "puppet", "fps": 25, "styles": ["a", "b"]}
-RIG = {"names": ["Hips"], "height": 1.5}
+CONFIG = {"kind": "puppet", "fps": 25, "recorded_fps": 50, "smooth": None, "styles": ["a", "b"]}
+RIG = {"names": ["Hips"], "height": 1.5, "speakers": {}}
 TENSORS = {"net.weight": torch.arange(6.0).reshape(2, 3), "mean": torch.ones(2)}
 
 
@@ -27,20 +32,37 @@ def folder(tmp_path) -> Path:
     return tmp_path / "model"
 
 
-@pytest.fixture
-def load(folder, skeleton) -> Callable[..., Any]:
-    """load(assemble=None): the parts of the folder, or what is made of them."""
+class Puppet(TrainedModel):
+    """A model whose own fields are not read but made, or fail."""
 
-    def read(assemble: Callable[[ModelParts], Any] | None = None, rig: Any = skeleton) -> Any:
-        return load_model(
-            folder, "puppet", assemble or (lambda parts: SimpleNamespace(skeleton=rig, parts=parts))
-        )
+    kind = "puppet"
+    skeleton = None
+    make: Callable[[ModelParts], Any]
+
+    @classmethod
+    def _fields(cls, parts, weights, device, dtype):
+        cls.make(parts)
+        fields = dict.fromkeys(("representation", "conditions", "normaliser"))
+        return fields | {"network": torch.nn.Identity()}
+
+    _measured_state = _contents = _readme = None
+
+
+@pytest.fixture
+def load(folder, skeleton, monkeypatch) -> Callable[..., Any]:
+    """load(make=...): the model of the folder; `make` gets its parts, and may fail."""
+
+    def read(make: Callable[[ModelParts], Any] = lambda parts: None) -> Any:
+        monkeypatch.setattr(Puppet, "skeleton", skeleton)
+        monkeypatch.setattr(Puppet, "make", staticmethod(make), raising=False)
+        return Puppet.load(folder)
 
     return read
 
 
 def test_what_is_written_is_read(folder, load, caplog):
-    parts = load().parts
+    model, parts = load(), load_parts(folder, "puppet")
+    assert (model.fps, model.recorded_fps, model.smooth) == (25, 50, None)
     assert parts.folder == folder and CONFIG.items() <= parts.config.items() and parts.rig == RIG
     assert (
         set(parts.tensors) == set(TENSORS) and (folder / "README.md").read_text() == "A puppet.\n"
