@@ -282,36 +282,29 @@ def _config_file(
     """
     path = named_config(path) or path
     if resume and not path.exists():
-        raise ConfigError(
-            f"{path}: no such run; a training that was interrupted before its first step left "
-            "none: begin it again"
-        )
-    if path.is_dir():
+        problem = "no such run; a training that was interrupted before its first step left none: "
+        problem += "begin it again"
+    elif path.is_dir():
         if _is_model(path) and (path.parent / "config.yaml").is_file():
             path = path.parent  # the run of a model folder
-        has_config = (path / "config.yaml").is_file()
-        if resume and has_config:
+        problem = "a run folder; add --resume to continue it"
+        if not (path / "config.yaml").is_file():
+            problem = "a folder without config.yaml, so no run to resume; to train on what is in "
+            problem += "it, run gesturekit prepare on it and give a configuration (.yaml)"
+        elif resume:
             # Its own config.yaml holds every setting, and the folder may have been moved.
             return path / "config.yaml", [*overrides, f"out={json.dumps(str(path))}"]
-        problem = (
-            "a folder without config.yaml, so no run to resume; to train on what is in it, run "
-            "gesturekit prepare on it and give a configuration (.yaml)"
-        )
-        raise ConfigError(
-            f"{path}: {'a run folder; add --resume to continue it' if has_config else problem}"
-        )
-    path = find_config(path)
-    suffix = path.suffix.lower()
-    if suffix in (".yaml", ".yml"):
-        return path, overrides
-    problem = f"not a configuration, which is a .yaml file such as {', '.join(main_configs())}"
-    if suffix == ".jsonl":
-        problem = f"a manifest, not a configuration; gesturekit train own_corpus corpus={path}"
-    elif suffix in (".bvh", ".npz", ".wav"):
-        problem = (
-            "a recording, not a configuration; run gesturekit prepare on its folder, then "
-            "gesturekit train own_corpus"
-        )
+    else:
+        path = find_config(path)
+        suffix = path.suffix.lower()
+        if suffix in (".yaml", ".yml"):
+            return path, overrides
+        problem = f"not a configuration, which is a .yaml file such as {', '.join(main_configs())}"
+        if suffix == ".jsonl":
+            problem = f"a manifest, not a configuration; gesturekit train own_corpus corpus={path}"
+        elif suffix in (".bvh", ".npz", ".wav"):
+            problem = "a recording, not a configuration; run gesturekit prepare on its folder, "
+            problem += "then gesturekit train own_corpus"
     raise ConfigError(f"{path}: {problem}")
 
 
@@ -322,19 +315,16 @@ def _system_name(path: Path, overrides: Sequence[str]) -> str:
         ConfigError: there is no such system, or the overrides name another than the file.
     """
     name = read_chain(path).get("system")
-    for override in overrides:
-        key, _, value = override.partition("=")
-        if key == "system" and value in SYSTEMS and value != name:
-            same = [n for n in main_configs() if read_chain(find_config(n)).get("system") == value]
-            raise ConfigError(
-                f"{path}: has the settings of {name!r}; for {value!r} take one of its recipes: "
-                f"{', '.join(same)}"
-            )
-        if key == "system":
-            name = value
-    if name not in [*SYSTEMS]:
-        raise ConfigError(f"{path}: system: {name!r} is not one of {', '.join(SYSTEMS)}")
-    return name
+    given = dict(override.split("=", 1) for override in overrides if "=" in override)
+    wanted = given.get("system", name)
+    if wanted == name and name in [*SYSTEMS]:
+        return str(name)
+    problem = f"system: {wanted!r} is not one of {', '.join(SYSTEMS)}"
+    if wanted in [*SYSTEMS]:
+        same = [n for n in main_configs() if read_chain(find_config(n)).get("system") == wanted]
+        problem = f"has the settings of {name!r}; for {wanted!r} take one of its recipes: "
+        problem += ", ".join(same)
+    raise ConfigError(f"{path}: {problem}")
 
 
 def _is_model(folder: Path) -> bool:

@@ -100,26 +100,23 @@ class InbetweenClips:
     """
 
     def __init__(
-        self,
-        clips: Mapping[float, Motion | str | Path],
-        rig: ModelJoints,
-        fps: float,
+        self, clips: Mapping[float, Motion | str | Path], rig: ModelJoints, fps: float
     ) -> None:
-        if not clips:
-            raise ModelError("keep: no motion is given")
         self.rig, self.fps = rig, fps
         self.clips: list[tuple[int, Motion]] = []
+        problem = "" if clips else "no motion is given"
         for second, clip in sorted(clips.items()):
+            end = f"{self.end / fps:g} s"
             if not (math.isfinite(second) and second >= 0):
-                raise ModelError(f"keep: a clip begins at {second:g} s; expected 0 or later")
+                problem = f"a clip begins at {second:g} s; expected 0 or later"
+            elif (begin := math.floor(second * fps + 0.5)) < self.end:
+                problem = f"the clip at {second:g} s begins before the one before it ends ({end})"
+            if problem:
+                break
             motion = clip if isinstance(clip, Motion) else Motion.load(clip)
-            begin = math.floor(second * fps + 0.5)
-            if begin < self.end:
-                raise ModelError(
-                    f"keep: the clip at {second:g} s begins before the one before it ends "
-                    f"({self.end / fps:g} s)"
-                )
             self.clips.append((begin, on_rig(rig, motion).resample(fps)))
+        if problem:
+            raise ModelError(f"keep: {problem}")
         # All clips are turned together, so that their mean heading is +Z as in training.
         each = [heading(clip) for _, clip in self.clips]
         weight = [clip.n_frames for _, clip in self.clips]
