@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 from audio_features.kinds import KINDS
 
 if TYPE_CHECKING:
-    from audio_features.acoustic.extractors import MFCC as MFCC
-    from audio_features.acoustic.extractors import Effort as Effort
-    from audio_features.acoustic.extractors import LogMel as LogMel
-    from audio_features.acoustic.extractors import Music as Music
-    from audio_features.acoustic.extractors import Onset as Onset
-    from audio_features.acoustic.extractors import ProsodicRange as ProsodicRange
-    from audio_features.acoustic.extractors import Prosody as Prosody
+    from audio_features.acoustic import MFCC as MFCC
+    from audio_features.acoustic import Effort as Effort
+    from audio_features.acoustic import LogMel as LogMel
+    from audio_features.acoustic import Music as Music
+    from audio_features.acoustic import Onset as Onset
+    from audio_features.acoustic import ProsodicRange as ProsodicRange
+    from audio_features.acoustic import Prosody as Prosody
     from audio_features.cache import FeatureCache as FeatureCache
     from audio_features.cache import cache_from_environment as cache_from_environment
     from audio_features.errors import AudioError as AudioError

@@ -9,13 +9,13 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic.analysis import ShortTimeSpectrum
-from audio_features.acoustic.extractors import AcousticExtractor
+from audio_features.acoustic import AcousticExtractor, ShortTimeSpectrum
 from audio_features.errors import AudioFeaturesError, FeatureError, WeightsError
 from audio_features.kinds import KINDS, digest_of_sources, installed_kinds
 from audio_features.track import FeatureTrack
@@ -79,19 +79,11 @@ class Stack:
             raise FeatureError("an empty stack: give at least one extractor")
         self.names = tuple(name for part in self.parts for name in part.names)
         self.centred = tuple(mark for part in self.parts for mark in part.centred)
+        self.dim = len(self.names)
+        self.spec = {"kind": "stack", "parts": [part.spec for part in self.parts]}
         doubles = sorted({name for name in self.names if self.names.count(name) > 1})
         if doubles:
             raise FeatureError(f"two parts of a stack both give {doubles[0]!r}: list it once")
-
-    @property
-    def spec(self) -> dict[str, Any]:
-        """Spec {"kind": "stack", "parts": [spec, …]}."""
-        return {"kind": "stack", "parts": [part.spec for part in self.parts]}
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D, summed over the parts."""
-        return len(self.names)
 
     def extract(
         self,
@@ -109,7 +101,7 @@ class Stack:
         for part in self.parts:
             if isinstance(part, AcousticExtractor):
                 if part.device not in spectra:
-                    spectra[part.device] = part.spectrum_of(wave)
+                    spectra[part.device] = ShortTimeSpectrum(wave, part.device)
                 tracks.append(part.from_spectrum(spectra[part.device]))
             else:
                 tracks.append(extract(part, wave))
@@ -166,10 +158,9 @@ class Installed:
         try:
             track = self._made.extract(wave)
             return FeatureTrack(track.values, track.times, self.spec, self.names)
-        except AudioFeaturesError as error:
-            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {error}") from error
         except Exception as error:  # foreign code may raise anything; other sounds go on
-            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {error!r}") from error
+            reason = error if isinstance(error, AudioFeaturesError) else repr(error)
+            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {reason}") from error
 
     def __repr__(self) -> str:
         return f"Installed({self.spec})"
@@ -224,12 +215,11 @@ def extractor_from_spec(
         return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
     if kind not in KINDS:
         return _installed(kind, settings, device)
-    make = KINDS[kind].load()
+    module, name = KINDS[kind].module, KINDS[kind].name
+    if needs_weights(spec) and kind == "words":
+        module, name = "huggingface.word_embeddings", "WordEmbeddings"
+    make: Any = getattr(import_module(f"audio_features.{module}"), name)
     if needs_weights(spec):
-        if kind == "words":
-            from audio_features.huggingface.word_embeddings import WordEmbeddings
-
-            make = WordEmbeddings
         make = partial(make, _folder_of(kind, settings, weights), device=device)
     elif kind == "files" and (place := _place_of(kind, weights)) is not None:
         settings["folder"] = place
@@ -247,9 +237,8 @@ def _folder_of(
     """Return the place of an encoder, and take it and the model's name out of the settings."""
     name = _PLACES[kind]
     folder = settings.pop(name, None) or _place_of(kind, weights)
-    model = settings.pop("model", None) or {"wavlm": "WavLM", "words": "a text encoder"}.get(
-        kind, "a Hugging Face speech encoder"
-    )
+    usual = {"wavlm": "WavLM", "words": "a text encoder", "hf": "a Hugging Face speech encoder"}
+    model = settings.pop("model", None) or usual[kind]
     if folder is None:
         wanted = settings.get("fingerprint")
         which = f" with fingerprint {wanted}" if wanted else ""
@@ -261,13 +250,13 @@ def _folder_of(
 
 def _installed(kind: Any, settings: dict[str, Any], device: str) -> Installed:
     """Return the extractor of an installed package; FeatureError for a kind that none has."""
-    kinds = installed_kinds()
-    if kind in kinds:
-        return Installed(kinds[kind], settings, device)
-    if package := settings.get("package"):
-        raise FeatureError(f"extractor {kind!r} is not here: install {package!r} if you trust it")
+    if entry := (kinds := installed_kinds()).get(kind):
+        return Installed(entry, settings, device)
     known, spec = ", ".join([*KINDS, *kinds, "stack"]), {"kind": kind, **settings}
-    raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
+    problem = f"feature spec {spec!r}: kind {kind!r} is none of {known}"
+    if package := settings.get("package"):
+        problem = f"extractor {kind!r} is not here: install {package!r} if you trust it"
+    raise FeatureError(problem)
 
 
 def needs_weights(spec: Any) -> bool:

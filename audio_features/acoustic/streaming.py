@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from audio_features.acoustic.analysis import (
+from audio_features.acoustic import (
     FRAME_RATE,
     HOP,
     N_FFT,

@@ -12,7 +12,7 @@ import soundfile
 
 import audio_features as af
 from audio_features.files import open_npy
-from audio_features.sound_file import soundfile_name
+from audio_features.wave import soundfile_name
 from gesturekit.formats.sources import is_feature_file, visible_folders
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted, listed

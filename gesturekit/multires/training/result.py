@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 import audio_features as af
-from audio_features.acoustic.analysis import SAMPLE_RATE
+from audio_features.acoustic import SAMPLE_RATE
 from audio_features.acoustic.streaming import check_streams
 from gesturekit.corpus.item import Item
 from gesturekit.corpus.manifest import Manifest
