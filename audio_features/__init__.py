@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from audio_features.voice import voice_activity as voice_activity
     from audio_features.wave import Wave as Wave
     from audio_features.wave import exact_rate as exact_rate
-    from audio_features.wavlm.extractor import WavLM as WavLM
+    from audio_features.wavlm.network import WavLM as WavLM
     from audio_features.words import Word as Word
     from audio_features.words import Words as Words
     from audio_features.words import load_words as load_words

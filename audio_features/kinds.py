@@ -43,7 +43,7 @@ KINDS = {
     "effort": Kind("acoustic", "Effort", "seconds"),
     "music": Kind("acoustic", "Music", "n_chroma"),
     "words": Kind("words", "Words", "encoder", place="encoder"),
-    "wavlm": Kind("wavlm.extractor", "WavLM", place=""),
+    "wavlm": Kind("wavlm.network", "WavLM", place=""),
     "hf": Kind("huggingface.extractor", "HuggingFace", "path", place="path"),
     "files": Kind("files", "Files", "dim", place="folder"),
 }

@@ -21,16 +21,13 @@ from audio_features.huggingface.weights import front_norm, read_encoder
 from audio_features.speech_encoders import (
     SAMPLE_RATE,
     HiddenStateExtractor,
-    LayerChoice,
     Options,
     checked_device,
 )
-from audio_features.weight_files import check_fingerprint
 
 if TYPE_CHECKING:
     from audio_features.speech_encoders import Layer
 
-_SECONDS = {"full_context": 30.0, "chunk": 30.0, "context": 5.0}
 _MEL_HOP = 160
 _MEL_WINDOW = 400
 _STACKED = 2  # mel frames that are one frame of w2v-BERT 2.0
@@ -89,28 +86,21 @@ class HuggingFace(HiddenStateExtractor):
         device: str = "cpu",
         **options: Any,
     ) -> None:
-        self._options = Options(**{**_SECONDS, **options})
+        settings = Options(**{"full_context": 30.0, **options})
         self._device = checked_device(device)
         self.weights, config, network = read_encoder(weights)
-        self.stem = self.weights.model.replace("-", "_")
-        check_fingerprint(weights, self.fingerprint, fingerprint)
         front_end = _FRONT_ENDS.get(self.weights.model, Convolutions)
-        self._takes_waveform = front_end is Convolutions
-        if not self._takes_waveform and self._options.normalize is not None:
+        takes_waveform = front_end is Convolutions
+        if not takes_waveform and settings.normalize is not None:
             raise FeatureError(f"normalize: {self.weights.model} takes no waveform: leave it out")
-        self.normalize = self._options.eps(self.weights.normalize)
-        self._choice = LayerChoice(layer, None, self.weights.layers)
+        self._choose(layer, None, settings, fingerprint)
         self._front = front_end(config, network.to(self._device))
         self.first, self.hop = self._front.first, self._front.hop
         self._layers = Layers(network, max(self._choice.indices))
-
-    @property
-    def spec(self) -> dict[str, Any]:
-        """Kind, every setting that affects the values, and the weights' fingerprint."""
-        spec = {"kind": "hf", "model": self.weights.model, "layer": self.layer}
-        if self._takes_waveform:
-            spec["normalize"] = False if self.normalize is None else self.normalize
-        return {**spec, **self._options.seconds, "fingerprint": self.fingerprint}
+        self.spec = {"kind": "hf", "model": self.weights.model, "layer": self._choice.spec}
+        if takes_waveform:
+            self.spec["normalize"] = False if self.normalize is None else self.normalize
+        self.spec |= {**settings.seconds, "fingerprint": self.fingerprint}
 
     def hidden_states(self, samples: np.ndarray) -> np.ndarray:
         """Compute (T, D) float32 from (N,) samples at 16 kHz, without normalising them."""
