@@ -17,10 +17,9 @@ from audio_features.errors import check_values
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.alignment import corrections, shift_problems
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import READING, Item
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.corpus.layouts.listing import Listing
-from gesturekit.corpus.manifest import Manifest, absolute
+from gesturekit.corpus.manifest import READING, Item, Manifest, absolute
 from gesturekit.corpus.pairing import MediaFile, pair, recording_ids, scan, unread
 from gesturekit.corpus.recording import Recording, examine, examine_each
 from gesturekit.corpus.report import Report

@@ -16,7 +16,7 @@ from audio_features.words import words_beside
 from gesturekit.corpus import checks
 from gesturekit.corpus.alignment import Correlation, correlate
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import CONDITIONS, muted
+from gesturekit.corpus.manifest import CONDITIONS, muted
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conventions import plausibility_warnings
 from gesturekit.formats.sources import load_with_warnings

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gesturekit.corpus.alignment import pooled
 from gesturekit.corpus.checks import Problem, printed
-from gesturekit.corpus.item import SPLITS, Item
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import SPLITS, Item, Manifest
 from gesturekit.formats.sources import SPEECH_SUFFIXES, unreadable_media
 from gesturekit.wording import counted, listed
 

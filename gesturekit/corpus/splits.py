@@ -20,8 +20,7 @@ from typing import Any
 
 from audio_features.archive import read_bytes
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import Item, file_fingerprint
-from gesturekit.corpus.manifest import absolute
+from gesturekit.corpus.manifest import Item, absolute, file_fingerprint
 from gesturekit.corpus.recording import MIN_DURATION, Recording
 from gesturekit.corpus.takes import by_id_or_stem
 from gesturekit.errors import CorpusError

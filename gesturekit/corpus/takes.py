@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import file_fingerprint
+from gesturekit.corpus.manifest import file_fingerprint
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError, GestureKitError
 from gesturekit.formats.sources import load
