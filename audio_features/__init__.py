@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from audio_features.extractor import Stack as Stack
     from audio_features.extractor import extractor_from_spec as extractor_from_spec
     from audio_features.files import Files as Files
-    from audio_features.huggingface.extractor import HuggingFace as HuggingFace
+    from audio_features.huggingface import HuggingFace as HuggingFace
     from audio_features.huggingface.word_embeddings import WordEmbeddings as WordEmbeddings
     from audio_features.pyramid import from_residual_pyramid as from_residual_pyramid
     from audio_features.pyramid import interpolation_weights as interpolation_weights
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from audio_features.voice import voice_activity as voice_activity
     from audio_features.wave import Wave as Wave
     from audio_features.wave import exact_rate as exact_rate
-    from audio_features.wavlm.network import WavLM as WavLM
+    from audio_features.wavlm import WavLM as WavLM
     from audio_features.words import Word as Word
     from audio_features.words import Words as Words
     from audio_features.words import load_words as load_words

@@ -43,8 +43,8 @@ KINDS = {
     "effort": Kind("acoustic", "Effort", "seconds"),
     "music": Kind("acoustic", "Music", "n_chroma"),
     "words": Kind("words", "Words", "encoder", place="encoder"),
-    "wavlm": Kind("wavlm.network", "WavLM", place=""),
-    "hf": Kind("huggingface.extractor", "HuggingFace", "path", place="path"),
+    "wavlm": Kind("wavlm", "WavLM", place=""),
+    "hf": Kind("huggingface", "HuggingFace", "path", place="path"),
     "files": Kind("files", "Files", "dim", place="folder"),
 }
 """Extractors by the `kind` of their specs, in the order in which messages list them."""
