@@ -26,6 +26,7 @@ from audio_features.weight_files import (
     read_file,
     read_folder,
     read_json,
+    renamed,
 )
 
 if TYPE_CHECKING:
@@ -269,14 +270,9 @@ def read_weights(
         digest.update(json.dumps(shape.unpublished, sort_keys=True).encode())
     sizes = f"{shape.layers} layers of {shape.width}, {shape.heads} heads"
     about = f"WavLM {shape.size}, {layout}: {sizes}, relative positions up to {shape.max_distance}"
+    summary = f"{about}; {normalization_text(normalize)}"
     weights = EncoderWeights(
-        path=str(path),
-        model="wavlm",
-        summary=f"{about}; {normalization_text(normalize)}",
-        layers=shape.layers,
-        width=shape.width,
-        normalize=normalize,
-        fingerprint=digest.hexdigest(),
+        str(path), "wavlm", summary, shape.layers, shape.width, normalize, digest.hexdigest()
     )
     return weights, shape, tensors
 
@@ -288,7 +284,7 @@ def _read_file(
     content = read_file(path)
     names = [str(name) for name in content] if isinstance(content, Mapping) else []
     if {"cfg", "model"} <= set(names) and isinstance(content["cfg"], dict):
-        tensors = _renamed(plain_tensors(path, content["model"]), _MICROSOFT)
+        tensors = renamed(plain_tensors(path, content["model"]), _MICROSOFT)
         shape = Architecture.from_microsoft(content["cfg"], tensors, str(path))
         normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
         return "Microsoft checkpoint", shape, tensors, normalize
@@ -338,7 +334,7 @@ _TORCHAUDIO = (
 def _from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Rename the state dict of `torchaudio.models.wavlm_*` or of its pipelines."""
     split: dict[str, torch.Tensor] = {}
-    for name, tensor in _renamed(tensors, _TORCHAUDIO).items():
+    for name, tensor in renamed(tensors, _TORCHAUDIO).items():
         stacked = re.fullmatch(r"(.+)\.in_proj_(weight|bias)", name)
         if stacked is None or len(tensor) % 3:
             split[name] = tensor
@@ -347,14 +343,3 @@ def _from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Ten
             for part, chunk in zip("qkv", tensor.chunk(3)):
                 split[f"{attention}.{part}_proj.{kind}"] = chunk
     return split
-
-
-def _renamed(
-    tensors: Mapping[str, torch.Tensor], table: tuple[tuple[str, str], ...]
-) -> dict[str, torch.Tensor]:
-    renamed = {}
-    for name, tensor in tensors.items():
-        for pattern, replacement in table:
-            name = re.sub(pattern, replacement, name)
-        renamed[name] = tensor
-    return renamed
