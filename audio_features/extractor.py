@@ -206,13 +206,12 @@ def extractor_from_spec(
         stack
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
-    kind = settings.pop("kind", None)
+    kind, places = settings.pop("kind", None), _places(spec, weights)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
-        weights = _by_kind(parts, weights)
-        return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
+        return Stack([extractor_from_spec(part, weights=places, device=device) for part in parts])
     if kind not in KINDS:
         return _installed(kind, settings, device)
     module, name = KINDS[kind].module, KINDS[kind].name
@@ -220,9 +219,9 @@ def extractor_from_spec(
         module, name = "huggingface.word_embeddings", "WordEmbeddings"
     make: Any = getattr(import_module(f"audio_features.{module}"), name)
     if needs_weights(spec):
-        make = partial(make, _folder_of(kind, settings, weights), device=device)
-    elif kind == "files" and (place := _place_of(kind, weights)) is not None:
-        settings["folder"] = place
+        make = partial(make, _folder_of(kind, settings, places), device=device)
+    elif kind == "files" and kind in places:
+        settings["folder"] = places[kind]
     if settings.get("backend") == "torchaudio":
         settings["device"] = device
     try:
@@ -232,11 +231,11 @@ def extractor_from_spec(
 
 
 def _folder_of(
-    kind: str, settings: dict[str, Any], weights: WeightPlaces | None
+    kind: str, settings: dict[str, Any], places: Mapping[str, str | os.PathLike[str]]
 ) -> str | os.PathLike[str]:
     """Return the place of an encoder, and take it and the model's name out of the settings."""
     name = _PLACES[kind]
-    folder = settings.pop(name, None) or _place_of(kind, weights)
+    folder = settings.pop(name, None) or places.get(kind)
     usual = {"wavlm": "WavLM", "words": "a text encoder", "hf": "a Hugging Face speech encoder"}
     model = settings.pop("model", None) or usual[kind]
     if folder is None:
@@ -264,9 +263,7 @@ def needs_weights(spec: Any) -> bool:
 
     Times of words, {"kind": "words"}, need none; a word encoder has further settings.
     """
-    if not isinstance(spec, dict):
-        return False
-    kind = spec.get("kind")
+    kind = spec.get("kind") if isinstance(spec, dict) else None
     return kind in ("wavlm", "hf") or (kind == "words" and len(spec) > 1)
 
 
@@ -277,23 +274,30 @@ def needs_of(spec: Any) -> list[str]:
         >>> needs_of({"kind": "files", "dim": 64, "suffix": ".npy", "rate": 50})
         ['STEM.npy with 64 columns, beside each sound or in --weights files=FOLDER']
     """
-    spec = spec if isinstance(spec, dict) else {}
-    kind = spec.get("kind")
-    if kind == "stack":
-        parts = spec.get("parts")
-        return (
-            [need for part in parts for need in needs_of(part)] if isinstance(parts, list) else []
-        )
-    needs = [f"the weights of the encoder: --weights {kind}=PATH"] if needs_weights(spec) else []
-    if kind == "words":
-        needs.append("a list of words with times beside each sound, such as STEM.TextGrid")
-    elif kind == "files":
-        files = f"STEM{spec.get('suffix')} with {spec.get('dim')} columns"
-        needs.append(f"{files}, beside each sound or in --weights files=FOLDER")
-    elif kind is not None and kind not in KINDS:
-        here = "" if kind in installed_kinds() else ", which is not installed here"
-        needs.append(f"the extractor {kind} of the package {spec.get('package')}{here}")
+    needs = []
+    for part in _leaves(spec):
+        kind = part.get("kind")
+        if needs_weights(part):
+            needs.append(f"the weights of the encoder: --weights {kind}=PATH")
+        if kind == "words":
+            needs.append("a list of words with times beside each sound, such as STEM.TextGrid")
+        elif kind == "files":
+            files = f"STEM{part.get('suffix')} with {part.get('dim')} columns"
+            needs.append(f"{files}, beside each sound or in --weights files=FOLDER")
+        elif kind is not None and kind not in KINDS:
+            here = "" if kind in installed_kinds() else ", which is not installed here"
+            needs.append(f"the extractor {kind} of the package {part.get('package')}{here}")
     return needs
+
+
+def _leaves(spec: Any) -> list[dict[str, Any]]:
+    """Return the specs of a stack, or the spec alone; none of what is no spec."""
+    if not isinstance(spec, dict):
+        return []
+    if spec.get("kind") != "stack":
+        return [spec]
+    parts = spec["parts"] if isinstance(spec.get("parts"), list) else []
+    return [leaf for part in parts for leaf in _leaves(part)]
 
 
 def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
@@ -302,30 +306,22 @@ def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
     return spec.get(name) if name else None
 
 
-def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str] | None:
-    """Return the place of the weights or files of one kind of extractor.
+def _places(spec: Any, weights: WeightPlaces | None) -> Mapping[str, str | os.PathLike[str]]:
+    """Return the places of weights and files by kind; one path is that of the spec's encoder.
 
-    Raises WeightsError for a kind that does not exist.
+    Raises WeightsError for a kind without weights and files, and for one path of several encoders.
     """
-    if not isinstance(weights, Mapping):
+    if weights is None:
+        return {}
+    if isinstance(weights, Mapping):
+        known = ", ".join(_PLACES)
+        for name in weights.keys() - _PLACES.keys():
+            problem = f"{name!r} has no weights or files; expected {known}"
+            raise WeightsError(f"weights {name}={os.fspath(weights[name])}: {problem}")
         return weights
-    for name in weights:
-        if name not in _PLACES:
-            known = f"{name!r} has no weights or files; expected {', '.join(_PLACES)}"
-            raise WeightsError(f"weights {name}={os.fspath(weights[name])}: {known}")
-    return weights.get(kind)
-
-
-def _by_kind(parts: list[Any], weights: WeightPlaces | None) -> WeightPlaces | None:
-    """Return the places by kind if one path is given and an encoder needs it.
-
-    Raises WeightsError if one path is given for several encoders.
-    """
-    if weights is None or isinstance(weights, Mapping):
-        return weights
-    encoders = [part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)]
-    kinds = list(dict.fromkeys(encoders))
+    encoders = [part for part in _leaves(spec) if needs_weights(part) and not folder_in_spec(part)]
+    kinds = list(dict.fromkeys(part["kind"] for part in encoders)) or ["files"]
     if len(kinds) > 1:
         named = " ".join(f"--weights {kind}=PATH" for kind in kinds)
         raise WeightsError(f"{os.fspath(weights)}: give the weights of each encoder ({named})")
-    return {kinds[0]: weights} if kinds else weights
+    return {kinds[0]: weights}

@@ -231,6 +231,14 @@ class ShortTimeSpectrum:
         self.times = np.arange(self.n_frames) / FRAME_RATE
         self._log_mels: dict[int, np.ndarray] = {}
 
+    @classmethod
+    def of_frames(cls, times: np.ndarray, power: np.ndarray, melody: Melody) -> ShortTimeSpectrum:
+        """Return a spectrum of frames whose power and melody are known."""
+        spectrum = cls.__new__(cls)
+        known = {"times": times, "n_frames": len(times), "power": power, "melody": melody}
+        vars(spectrum).update(known, _log_mels={})
+        return spectrum
+
     @cached_property
     def melody(self) -> Melody:
         """Pitch, voicing and energy."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -123,7 +123,7 @@ class WavLM(HiddenStateExtractor):
         # By default a GPU would round convolutions to TF32.
         with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
             sound = torch.from_numpy(np.ascontiguousarray(samples)).to(self._device)
-            window = SoundFrames(self._front, sound).window
+            window = self._front.windows(sound)
             for at in range(0, len(chunks), size):
                 batch = chunks[at : at + size]
                 inputs = [window(c.start - before, c.stop + after) for c, _ in batch]
@@ -170,10 +170,8 @@ class FrontEnd:
                 self._norms[i] = norm
         name = "feature_projection."
         self._norm = tensors[f"{name}layer_norm.weight"], tensors[f"{name}layer_norm.bias"]
-        self._projection = (
-            tensors[f"{name}projection.weight"].to(dtype),
-            tensors[f"{name}projection.bias"].to(dtype),
-        )
+        weight, bias = tensors[f"{name}projection.weight"], tensors[f"{name}projection.bias"]
+        self._projection = weight.to(dtype), bias.to(dtype)
 
     def for_sound(self, samples: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Return the first convolution's weight (10, C) and bias (C,) for a sound (N,) float32."""
@@ -198,6 +196,27 @@ class FrontEnd:
         scale = gain / torch.sqrt(variance + _NORM_EPS)
         # The convolution's own bias cancels with the mean.
         return (exact * scale).float(), (shift - scale * (mean @ exact)).float()
+
+    def windows(self, samples: torch.Tensor) -> Callable[[int, int], torch.Tensor]:
+        """Return a function of the projected frames [start, stop) of a sound, zeros outside it.
+
+        It computes each frame once, for windows that move forwards: neither `start` nor `stop` may
+        be less than in the previous call.
+
+        Args:
+            samples: (N,) float32 at 16 kHz, normalised as the network expects.
+        """
+        first, count = self.for_sound(samples), (len(samples) - WINDOW) // HOP + 1
+        held, begin = self.frames(samples, 0, 0, first), 0
+
+        def window(start: int, stop: int) -> torch.Tensor:
+            nonlocal held, begin
+            low, high = max(0, start), min(count, stop)
+            new = self.frames(samples, max(low, begin + len(held)), high, first)
+            held, begin = torch.cat([held[low - begin :], new]), low
+            return F.pad(held, (0, 0, low - start, stop - high))
+
+        return window
 
     def frames(
         self,
@@ -235,34 +254,6 @@ class FrontEnd:
     def _project(self, x: torch.Tensor) -> torch.Tensor:
         x = F.layer_norm(x.float(), x.shape[1:], *self._norm, self._shape.eps)
         return F.linear(x.to(self._dtype), *self._projection).float()
-
-
-class SoundFrames:
-    """Projected frames of one sound, each computed once, for windows that move forwards.
-
-    Args:
-        front: the front end.
-        samples: (N,) float32 at 16 kHz, normalised as the network expects.
-    """
-
-    def __init__(self, front: FrontEnd, samples: torch.Tensor) -> None:
-        self._front, self._samples = front, samples
-        self._first = front.for_sound(samples)
-        self._count = (len(samples) - WINDOW) // HOP + 1
-        self._start = 0
-        self._held = front.frames(samples, 0, 0, self._first)
-
-    def window(self, start: int, stop: int) -> torch.Tensor:
-        """Return frames [start, stop): (stop - start, width), zeros outside the sound.
-
-        Neither `start` nor `stop` may be less than in the previous call.
-        """
-        low, high = max(0, start), min(self._count, stop)
-        new = self._front.frames(
-            self._samples, max(low, self._start + len(self._held)), high, self._first
-        )
-        self._held, self._start = torch.cat([self._held[low - self._start :], new]), low
-        return F.pad(self._held, (0, 0, low - start, stop - high))
 
 
 def _conv(
@@ -400,10 +391,11 @@ class Encoder:
         return F.layer_norm(x, x.shape[-1:], *norm, self._shape.eps)
 
     def _feed_forward(self, layer: dict[str, tuple], x: torch.Tensor) -> torch.Tensor:
-        parts = [
-            F.linear(F.gelu(F.linear(part.to(self._dtype), *layer["inner"])), *layer["outer"])
-            for part in x.split(_FEED_FORWARD_FRAMES, dim=1)
-        ]
+        def forward(part: torch.Tensor) -> torch.Tensor:
+            inner = F.gelu(F.linear(part.to(self._dtype), *layer["inner"]))
+            return F.linear(inner, *layer["outer"])
+
+        parts = [forward(part) for part in x.split(_FEED_FORWARD_FRAMES, dim=1)]
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
     def _attention(
