@@ -174,10 +174,7 @@ def _code_of(entry: EntryPoint) -> str:
 
 
 def extractor_from_spec(
-    spec: dict[str, Any],
-    *,
-    weights: WeightPlaces | None = None,
-    device: str = "cpu",
+    spec: dict[str, Any], *, weights: WeightPlaces | None = None, device: str = "cpu"
 ) -> Extractor:
     """Build the extractor that a spec describes.
 

@@ -86,10 +86,7 @@ class FeatureTrack:
         return self._with(self.values[lo] * (1 - w) + self.values[lo + 1] * w, times)
 
     def to_rate(
-        self,
-        fps: float,
-        n_frames: int | None = None,
-        method: Method = "linear",
+        self, fps: float, n_frames: int | None = None, method: Method = "linear"
     ) -> FeatureTrack:
         """Align the track with motion frames: frame k is at k/fps.
 

@@ -103,9 +103,7 @@ def is_encoder_folder(path: str | os.PathLike[str]) -> bool:
     return config.is_file() and read_json(config).get("model_type") in FAMILIES.keys() - {"wavlm"}
 
 
-def read_encoder(
-    path: str | os.PathLike[str],
-) -> tuple[EncoderWeights, Any, torch.nn.Module]:
+def read_encoder(path: str | os.PathLike[str]) -> tuple[EncoderWeights, Any, torch.nn.Module]:
     """Read the encoder in a folder.
 
     Returns its description, transformers' configuration without what only training uses, and the

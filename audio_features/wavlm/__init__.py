@@ -17,14 +17,7 @@ from torch.nn import functional as F
 
 from audio_features.errors import FeatureError
 from audio_features.speech_encoders import HiddenStateExtractor, Layer, Options, checked_device
-from audio_features.wavlm.weights import (
-    HOP,
-    KERNELS,
-    STRIDES,
-    WINDOW,
-    Architecture,
-    read_weights,
-)
+from audio_features.wavlm.weights import HOP, KERNELS, STRIDES, WINDOW, Architecture, read_weights
 
 _BLOCK_FRAMES = 128
 _MOMENT_FRAMES = 1 << 16
@@ -300,11 +293,7 @@ class Encoder:
     """
 
     def __init__(
-        self,
-        shape: Architecture,
-        tensors: dict[str, torch.Tensor],
-        depth: int,
-        dtype: torch.dtype,
+        self, shape: Architecture, tensors: dict[str, torch.Tensor], depth: int, dtype: torch.dtype
     ) -> None:
         self._shape, self._dtype = shape, dtype
         conv = "encoder.pos_conv_embed.conv."

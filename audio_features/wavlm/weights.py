@@ -277,9 +277,7 @@ def read_weights(
     return weights, shape, tensors
 
 
-def _read_file(
-    path: Path,
-) -> tuple[str, Architecture, dict[str, torch.Tensor], float | None]:
+def _read_file(path: Path) -> tuple[str, Architecture, dict[str, torch.Tensor], float | None]:
     """Return layout, architecture, tensors and normalisation of a file in one of two layouts."""
     content = read_file(path)
     names = [str(name) for name in content] if isinstance(content, Mapping) else []

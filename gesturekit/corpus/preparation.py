@@ -135,11 +135,7 @@ class PrepareOptions:
 
 
 @gesturekit_errors()
-def prepare(
-    folders: Folders,
-    out: str | os.PathLike[str] | None = None,
-    **options: Any,
-) -> Report:
+def prepare(folders: Folders, out: str | os.PathLike[str] | None = None, **options: Any) -> Report:
     """Find, check and split recordings, and write the manifest if any are usable.
 
     Sound and motion of a pair begin together, up to `shift`; if their energy and arm speed show
@@ -359,9 +355,7 @@ def _labelled(
     return labelled, problems
 
 
-def _of_one_skeleton(
-    recordings: list[Recording],
-) -> tuple[list[Recording], list[Problem]]:
+def _of_one_skeleton(recordings: list[Recording]) -> tuple[list[Recording], list[Problem]]:
     """Drop recordings whose joints differ from those of most others."""
     skeletons = [recording.skeleton for recording in recordings if recording.skeleton is not None]
     usual = checks.usual_skeleton(skeletons) if skeletons else None

@@ -168,10 +168,7 @@ def cut(start: float, stop: float, intervals: Sequence[Interval]) -> list[tuple[
 
 
 def split_items(
-    recordings: list[Recording],
-    holdout: float,
-    intervals: Sequence[Interval],
-    seed: int,
+    recordings: list[Recording], holdout: float, intervals: Sequence[Interval], seed: int
 ) -> tuple[list[Item], list[Problem]]:
     """Assign recordings to splits and turn them into items.
 

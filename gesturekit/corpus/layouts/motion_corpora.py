@@ -219,10 +219,7 @@ def _info(root: Path, inside: Path) -> dict[str, tuple[str, Mapping[str, str]]]:
 
 
 def _trimmed(
-    recording: Recording,
-    row: tuple[str, Mapping[str, str]] | None,
-    root: Path,
-    listing: Listing,
+    recording: Recording, row: tuple[str, Mapping[str, str]] | None, root: Path, listing: Listing
 ) -> Recording:
     """Add offset, limits and audible intervals of an original recording.
 
