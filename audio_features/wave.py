@@ -38,7 +38,7 @@ SILENCE_DBFS = -75.0
 ACTIVE_RANGE_DB = 20.0
 """A frame is active when its power is within this range of the mean power of active frames."""
 SPEECH_LEVEL_DBFS = -23.0
-"""Default active level of `Wave.at_level` (the target of EBU R128)."""
+"""Active level of `Wave.at_level` (the target of EBU R128)."""
 
 _FULL_SCALE = 0.999  # 16-bit files clip at 32767/32768, resampled ones a little lower
 _UNLIMITED = 2.0  # with a higher peak, a floating-point file was not clipped at full scale
@@ -277,8 +277,8 @@ class Wave:
             done = stop
         return np.sqrt(np.maximum(power / np.maximum(last - first, 1), 0.0))
 
-    def active(self, hop: float = 0.01) -> np.ndarray:
-        """Detect speech on frames of 25 ms centred every `hop` seconds.
+    def active(self) -> np.ndarray:
+        """Detect speech on frames of 25 ms centred every 10 ms.
 
         A frame is active if its power is at most 20 dB below the mean power of the active
         frames. The set is found by starting from all frames and removing quieter ones until it
@@ -286,18 +286,18 @@ class Wave:
         gate: the same sound at another level has the same active frames. A clip whose active
         level is below -75 dBFS has none.
 
-        Returns (n_frames(1/hop),) bool.
+        Returns (n_frames(100),) bool.
         """
-        return self._activity(hop)[0]
+        return self._activity[0]
 
     def active_level(self) -> float:
         """Return the RMS of the active frames in dBFS (0 is a full-scale square wave), or -inf."""
-        return self._level
+        return self._activity[1]
 
     @property
     def is_silent(self) -> bool:
         """True if no frame is active: digital silence, or noise below -75 dBFS."""
-        return self._level == -math.inf
+        return self._activity[1] == -math.inf
 
     def faults(self) -> list[str]:
         """Describe audible faults of the recording in phrases; empty for a good recording.
@@ -322,11 +322,11 @@ class Wave:
             faults.append(f"DC offset of {100 * offset:+.1f} % of full scale: high-pass it")
         return faults
 
-    def at_level(self, dbfs: float = SPEECH_LEVEL_DBFS) -> Wave:
-        """Scale the active level to `dbfs` and remove the DC offset; silence is unchanged."""
+    def at_level(self) -> Wave:
+        """Scale the active level to -23 dBFS and remove the DC offset; silence is unchanged."""
         if self.is_silent:
             return self
-        gain = 10.0 ** ((dbfs - self._level) / 20.0)
+        gain = 10.0 ** ((SPEECH_LEVEL_DBFS - self.active_level()) / 20.0)
         samples = self.samples * np.float32(gain)
         samples -= np.float32(gain * self._mean)
         return replace(self, samples=samples)
@@ -343,12 +343,9 @@ class Wave:
         return float(np.mean(self.samples, dtype=np.float64))
 
     @cached_property
-    def _level(self) -> float:
-        return self._activity(0.01)[1]
-
-    def _activity(self, hop: float) -> tuple[np.ndarray, float]:
-        """Return the active frames (M,) bool and their level in dBFS."""
-        times = np.arange(self.n_frames(1 / Fraction(hop).limit_denominator(1000))) * hop
+    def _activity(self) -> tuple[np.ndarray, float]:
+        """The active frames (M,) bool and their level in dBFS."""
+        times = np.arange(self.n_frames(100)) * 0.01
         power = np.square(self.rms(times, window=0.025))
         active = power > 0.0
         while active.any():

@@ -325,7 +325,7 @@ def extract(
     n_frames = wave.n_frames(fps) if n_frames is None else n_frames
     track = af.cache_from_environment().extract(extractor, wave.at_level() if level else wave)
     values = track.to_rate(fps, n_frames=n_frames, method=align).values
-    activity = wave.active(hop=_ACTIVITY_HOP)
+    activity = wave.active()
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)
     return values, activity[np.minimum(nearest, len(activity) - 1)]
 

@@ -84,7 +84,7 @@ def _voice(wave: af.Wave) -> dict[str, Any]:
         "active_level_dbfs": speech.active_level(),
         "is_silent": wave.is_silent,
         "has_voice": not speech.is_silent,
-        "active_share": float(speech.active(0.01).mean()),
+        "active_share": float(speech.active().mean()),
     }
 
 
