@@ -100,16 +100,13 @@ class Stack:
         tracks = []
         for part in self.parts:
             if isinstance(part, AcousticExtractor):
-                if part.device not in spectra:
-                    spectra[part.device] = ShortTimeSpectrum(wave, part.device)
-                tracks.append(part.from_spectrum(spectra[part.device]))
+                tracks.append(part.extract(wave, spectra))
             else:
                 tracks.append(extract(part, wave))
         times = max((track.times for track in tracks), key=len)
-        values = [
-            track.values if track.times is times else track.at(times).values for track in tracks
-        ]
-        return FeatureTrack(np.concatenate(values, axis=1), times, self.spec, self.names)
+        each = [track if track.times is times else track.at(times) for track in tracks]
+        values = np.concatenate([track.values for track in each], axis=1)
+        return FeatureTrack(values, times, self.spec, self.names)
 
     def __repr__(self) -> str:
         return f"Stack({list(self.parts)})"

@@ -337,9 +337,19 @@ class AcousticExtractor:
         """Number of columns D."""
         return len(self.names)
 
-    def extract(self, wave: Wave) -> FeatureTrack:
-        """Extract the features of a sound: values (T, D), frame k centred at k·0.01 s."""
-        return self.from_spectrum(ShortTimeSpectrum(wave, self.device))
+    def extract(
+        self, wave: Wave, spectra: dict[str | None, ShortTimeSpectrum] | None = None
+    ) -> FeatureTrack:
+        """Extract the features of a sound: values (T, D), frame k centred at k·0.01 s.
+
+        Args:
+            wave: the sound.
+            spectra: its spectra by device, which several extractors may share.
+        """
+        spectra = {} if spectra is None else spectra
+        if self.device not in spectra:
+            spectra[self.device] = ShortTimeSpectrum(wave, self.device)
+        return self.from_spectrum(spectra[self.device])
 
     def from_spectrum(self, spectrum: ShortTimeSpectrum) -> FeatureTrack:
         """Extract the features (T, D) from a spectrum that other extractors may share."""

@@ -291,15 +291,11 @@ def _find(
     problems += pairing.problems
     # A folder may be given both ways: its files left after pairing are then used alone.
     seen -= {absolute(file.path) for file in [*pairing.speech, *pairing.motion]}
-    files = [file for folder in unpaired for file in files_in(folder)]
-    speech = unseen(file for file in files if file.is_speech)
-    files = [file for folder in unpaired_motion for file in files_in(folder)]
-    motion = unseen(file for file in files if not file.is_speech)
-
-    named = [speech_file for speech_file, _ in pairing.pairs] + speech + motion
-    ids = iter(recording_ids(named))
+    speech = unseen(f for folder in unpaired for f in files_in(folder) if f.is_speech)
+    motion = unseen(f for folder in unpaired_motion for f in files_in(folder) if not f.is_speech)
+    ids = iter(recording_ids([*(sound for sound, _ in pairing.pairs), *speech, *motion]))
     recordings = [
-        Recording(next(ids), audio=sound.path, motion=moves.path, speaker=options.speaker)
+        Recording(next(ids), sound.path, moves.path, speaker=options.speaker)
         for sound, moves in pairing.pairs
     ]
     recordings += [Recording(next(ids), audio=file.path) for file in speech]
