@@ -11,7 +11,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -89,8 +89,8 @@ class HuggingFace(HiddenStateExtractor):
         settings = Options(**{"full_context": 30.0, **options})
         self._device = checked_device(device)
         self.weights, config, network = read_encoder(weights)
-        front_end = _FRONT_ENDS.get(self.weights.model, Convolutions)
-        takes_waveform = front_end is Convolutions
+        front_end = _FRONT_ENDS.get(self.weights.model, convolutions)
+        takes_waveform = front_end is convolutions
         if not takes_waveform and settings.normalize is not None:
             raise FeatureError(f"normalize: {self.weights.model} takes no waveform: leave it out")
         self._choose(layer, None, settings, fingerprint)
@@ -119,163 +119,145 @@ class HuggingFace(HiddenStateExtractor):
 
 
 Windows = tuple[int, Callable[[int, int], torch.Tensor]]
-"""Number of frames of a sound, and the inputs (stop - start, …) of its frames [start, stop).
-
-A front end makes them of samples (N,) float32 at 16 kHz, normalised as the encoder expects, on the
-network's device. Frame t is centred at sample `first + t · hop`; `longest` is the most frames that
-the encoder takes at once, None without a limit.
-"""
+"""Number of frames of a sound, and the inputs (stop - start, …) of its frames [start, stop)."""
 
 
-class Convolutions:
-    """Convolutions over the waveform: HuBERT, wav2vec 2.0, data2vec-audio and WavLM.
+class FrontEnd(NamedTuple):
+    """What an encoder's layers take of a sound.
 
-    They have no padding: frame t covers the samples [t · hop, t · hop + window). Where the first
-    one is normalised over time (`feat_extract_norm: group`), its mean and variance are those of
-    the whole sound.
+    Attributes:
+        windows: makes them of samples (N,) float32 at 16 kHz, normalised as the encoder expects,
+            on the network's device.
+        hop: frame t is centred at sample `first + t · hop`.
+        first: centre of the first frame.
+        longest: most frames that the encoder takes at once, None without a limit.
+    """
+
+    windows: Callable[[torch.Tensor], Windows]
+    hop: int
+    first: float
+    longest: int | None = None
+
+
+def convolutions(config: Any, network: Any) -> FrontEnd:
+    """Return the front end of HuBERT, wav2vec 2.0, data2vec-audio and WavLM.
+
+    Their convolutions over the waveform have no padding: frame t covers the samples
+    [t · hop, t · hop + size). Where the first one is normalised over time (`feat_extract_norm:
+    group`), its mean and variance are those of the whole sound.
 
     Args:
         config: transformers' configuration.
         network: the model that has the convolutions.
     """
+    size, hop = 1, 1
+    for kernel, stride in zip(config.conv_kernel, config.conv_stride):
+        size += (kernel - 1) * hop
+        hop *= stride
+    first, *others = network.feature_extractor.conv_layers
+    kernel, stride = config.conv_kernel[0], config.conv_stride[0]
 
-    longest = None
-
-    def __init__(self, config: Any, network: torch.nn.Module) -> None:
-        self._network: Any = network
-        self._grouped = front_norm(config) == "group"
-        self.window, self.hop = 1, 1
-        for kernel, stride in zip(config.conv_kernel, config.conv_stride):
-            self.window += (kernel - 1) * self.hop
-            self.hop *= stride
-        self.first = self.window / 2
-        self._kernel, self._stride = config.conv_kernel[0], config.conv_stride[0]
-
-    def windows(self, samples: torch.Tensor) -> Windows:
-        """Return the frames of a sound; see `Windows`."""
-        n_frames = max(0, (len(samples) - self.window) // self.hop + 1)
-        moments = self.moments(samples) if n_frames else None
-        return n_frames, lambda start, stop: self.frames(samples, start, stop, moments)
-
-    def moments(self, samples: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor] | None:
-        """Return mean and 1/sd (C, 1) of the first convolution over the sound (N,), if needed."""
-        if not self._grouped:
-            return None
-        layer = self._network.feature_extractor.conv_layers[0]
-        count = (len(samples) - self._kernel) // self._stride + 1
-        block = _BLOCK_FRAMES * self.hop // self._stride
+    def moments(samples: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return mean and 1/sd (C, 1) of the first convolution over the sound (N,)."""
+        count, block = (len(samples) - kernel) // stride + 1, _BLOCK_FRAMES * hop // stride
         total, squares = 0.0, 0.0
         for at in range(0, count, block):
             end = min(count, at + block)
-            part = samples[at * self._stride : (end - 1) * self._stride + self._kernel]
-            values = layer.conv(part[None, None])[0].double()
+            part = samples[at * stride : (end - 1) * stride + kernel]
+            values = first.conv(part[None, None])[0].double()
             total = total + values.sum(-1)
             squares = squares + values.square().sum(-1)
         mean = total / count
         variance = (squares / count - mean.square()).clamp_min(0.0)
-        scale = torch.rsqrt(variance + layer.layer_norm.eps)
+        scale = torch.rsqrt(variance + first.layer_norm.eps)
         return mean.float()[:, None], scale.float()[:, None]
 
-    def frames(
-        self,
-        samples: torch.Tensor,
-        start: int,
-        stop: int,
-        moments: tuple[torch.Tensor, torch.Tensor] | None,
-    ) -> torch.Tensor:
-        """Compute the projected frames [start, stop) of a sound (N,): (stop - start, width)."""
-        first, *others = self._network.feature_extractor.conv_layers
-        parts = []
-        for at in range(start, stop, _BLOCK_FRAMES):
-            end = min(stop, at + _BLOCK_FRAMES)
-            x = samples[None, None, at * self.hop : (end - 1) * self.hop + self.window]
-            if moments is None:
-                x = first(x)
-            else:
-                norm = first.layer_norm
-                x = (first.conv(x) - moments[0]) * moments[1]
-                x = first.activation(x * norm.weight[:, None] + norm.bias[:, None])
-            for layer in others:
-                x = layer(x)
-            # HuBERT gives the projection alone, the others give its input as well.
-            projected = self._network.feature_projection(x.transpose(1, 2))
-            parts.append(projected[0] if isinstance(projected, tuple) else projected)
-        return torch.cat(parts, dim=1)[0]
+    def windows(samples: torch.Tensor) -> Windows:
+        n_frames = max(0, (len(samples) - size) // hop + 1)
+        is_grouped = n_frames > 0 and front_norm(config) == "group"
+        mean, scale = moments(samples) if is_grouped else (None, None)
+
+        def window(start: int, stop: int) -> torch.Tensor:
+            parts = []
+            for at in range(start, stop, _BLOCK_FRAMES):
+                end = min(stop, at + _BLOCK_FRAMES)
+                x = samples[None, None, at * hop : (end - 1) * hop + size]
+                if mean is None:
+                    x = first(x)
+                else:
+                    norm = first.layer_norm
+                    x = (first.conv(x) - mean) * scale
+                    x = first.activation(x * norm.weight[:, None] + norm.bias[:, None])
+                for layer in others:
+                    x = layer(x)
+                # HuBERT gives the projection alone, the others give its input as well.
+                projected = network.feature_projection(x.transpose(1, 2))
+                parts.append(projected[0] if isinstance(projected, tuple) else projected)
+            return torch.cat(parts, dim=1)[0]
+
+        return n_frames, window
+
+    return FrontEnd(windows, hop, size / 2)
 
 
-class FilterBank:
-    """Stacked frames of an 80-bin mel filter bank: w2v-BERT 2.0.
+def filter_bank(config: Any, network: Any) -> FrontEnd:
+    """Return the front end of w2v-BERT 2.0: stacked frames of an 80-bin mel filter bank.
 
     Mel frame k covers the samples [160k, 160k + 400); two of them are one frame. Each bin is
     normalised over the whole sound.
     """
+    from transformers import SeamlessM4TFeatureExtractor
 
-    longest = None
-    hop = _STACKED * _MEL_HOP
-    first = (_MEL_HOP * (_STACKED - 1) + _MEL_WINDOW) / 2
+    bins = config.feature_projection_input_dim // _STACKED
+    extract = SeamlessM4TFeatureExtractor(feature_size=bins, num_mel_bins=bins, stride=_STACKED)
 
-    def __init__(self, config: Any, network: torch.nn.Module) -> None:
-        from transformers import SeamlessM4TFeatureExtractor
-
-        bins = config.feature_projection_input_dim // _STACKED
-        self._extract = SeamlessM4TFeatureExtractor(
-            feature_size=bins, num_mel_bins=bins, stride=_STACKED
-        )
-        self._network: Any = network
-
-    def windows(self, samples: torch.Tensor) -> Windows:
-        """Return the frames of a sound; see `Windows`."""
+    def windows(samples: torch.Tensor) -> Windows:
         n_frames = max(0, (len(samples) - _MEL_WINDOW) // _MEL_HOP + 1) // _STACKED
         mel = np.empty((0, 1), np.float32)
         if n_frames:
-            mel = self._extract(
-                samples.cpu().numpy(), sampling_rate=SAMPLE_RATE, pad_to_multiple_of=_STACKED
-            ).input_features[0][:n_frames]
+            settings = {"sampling_rate": SAMPLE_RATE, "pad_to_multiple_of": _STACKED}
+            mel = extract(samples.cpu().numpy(), **settings).input_features[0][:n_frames]
         mels = torch.from_numpy(np.asarray(mel, np.float32)).to(samples.device)
-        project = self._network.feature_projection
+        project = network.feature_projection
         return n_frames, lambda start, stop: project(mels[None, start:stop])[0][0]
 
+    return FrontEnd(windows, _STACKED * _MEL_HOP, (_MEL_HOP * (_STACKED - 1) + _MEL_WINDOW) / 2)
 
-class LogMelFrames:
-    """Log-mel spectrogram of Whisper, as its convolutions take it.
+
+def log_mel_frames(config: Any, network: Any) -> FrontEnd:
+    """Return the front end of Whisper: its log-mel spectrogram, as its convolutions take it.
 
     Mel frame k is centred at sample 160k and every second one is the centre of a frame. The
     encoder takes windows of one length (30 s); a window holds the sound that follows its last
     frame too, and silence beyond the end. The dynamic range is limited over the whole sound.
     """
+    from transformers import WhisperFeatureExtractor
 
-    first = 0.0
-    hop = 2 * _MEL_HOP
+    longest, hop = int(config.max_source_positions), 2 * _MEL_HOP
+    extract = WhisperFeatureExtractor(feature_size=config.num_mel_bins)
 
-    def __init__(self, config: Any, network: torch.nn.Module) -> None:
-        from transformers import WhisperFeatureExtractor
-
-        self.longest = int(config.max_source_positions)
-        self._extract = WhisperFeatureExtractor(feature_size=config.num_mel_bins)
-
-    def windows(self, samples: torch.Tensor) -> Windows:
-        """Return the frames of a sound; see `Windows`."""
-        n_frames = math.ceil(len(samples) / self.hop)
+    def windows(samples: torch.Tensor) -> Windows:
+        n_frames = math.ceil(len(samples) / hop)
         # transformers pads to the length of the window; a longer sound ends in a frame of silence,
         # as the spectrogram mirrors the sound at its end.
-        n_padded = self.longest if n_frames <= self.longest else n_frames + 1
-        padded = np.zeros(n_padded * self.hop, np.float32)
+        padded = np.zeros((longest if n_frames <= longest else n_frames + 1) * hop, np.float32)
         padded[: len(samples)] = samples.cpu().numpy()
-        mel = self._extract(
-            padded, sampling_rate=SAMPLE_RATE, truncation=False, padding=False
-        ).input_features[0]
+        settings = {"sampling_rate": SAMPLE_RATE, "truncation": False, "padding": False}
+        mel = extract(padded, **settings).input_features[0]
         mels = torch.from_numpy(np.asarray(mel, np.float32)).to(samples.device)
         silence = max(_SILENCE, float(mels.max()) - _RANGE)
 
         def window(start: int, stop: int) -> torch.Tensor:
-            there = mels[:, 2 * start : 2 * (start + self.longest)]
-            missing = 2 * self.longest - there.shape[1]
+            there = mels[:, 2 * start : 2 * (start + longest)]
+            missing = 2 * longest - there.shape[1]
             return torch.nn.functional.pad(there, (0, missing), value=silence)
 
         return n_frames, window
 
+    return FrontEnd(windows, hop, 0.0, longest)
 
-_FRONT_ENDS: dict[str, Any] = {"wav2vec2-bert": FilterBank, "whisper": LogMelFrames}
+
+_FRONT_ENDS: dict[str, Any] = {"wav2vec2-bert": filter_bank, "whisper": log_mel_frames}
 """Front ends of encoders that take no waveform, by their model_type."""
 _ONE_AT_A_TIME = threading.Lock()  # hooks would see the layers of another thread's sound
 
