@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 from audio_features.kinds import KINDS
 
 if TYPE_CHECKING:
-    from audio_features.acoustic.extractors import MFCC as MFCC
-    from audio_features.acoustic.extractors import Effort as Effort
-    from audio_features.acoustic.extractors import LogMel as LogMel
-    from audio_features.acoustic.extractors import Music as Music
-    from audio_features.acoustic.extractors import Onset as Onset
-    from audio_features.acoustic.extractors import ProsodicRange as ProsodicRange
-    from audio_features.acoustic.extractors import Prosody as Prosody
+    from audio_features.acoustic import MFCC as MFCC
+    from audio_features.acoustic import Effort as Effort
+    from audio_features.acoustic import LogMel as LogMel
+    from audio_features.acoustic import Music as Music
+    from audio_features.acoustic import Onset as Onset
+    from audio_features.acoustic import ProsodicRange as ProsodicRange
+    from audio_features.acoustic import Prosody as Prosody
     from audio_features.cache import FeatureCache as FeatureCache
     from audio_features.cache import cache_from_environment as cache_from_environment
     from audio_features.errors import AudioError as AudioError
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from audio_features.extractor import Stack as Stack
     from audio_features.extractor import extractor_from_spec as extractor_from_spec
     from audio_features.files import Files as Files
-    from audio_features.huggingface.extractor import HuggingFace as HuggingFace
+    from audio_features.huggingface import HuggingFace as HuggingFace
     from audio_features.huggingface.word_embeddings import WordEmbeddings as WordEmbeddings
     from audio_features.pyramid import from_residual_pyramid as from_residual_pyramid
     from audio_features.pyramid import interpolation_weights as interpolation_weights
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from audio_features.voice import voice_activity as voice_activity
     from audio_features.wave import Wave as Wave
     from audio_features.wave import exact_rate as exact_rate
-    from audio_features.wavlm.extractor import WavLM as WavLM
+    from audio_features.wavlm import WavLM as WavLM
     from audio_features.words import Word as Word
     from audio_features.words import Words as Words
     from audio_features.words import load_words as load_words

@@ -34,17 +34,18 @@ def read_bytes(path: Path, most: int, error: type[Exception]) -> bytes:
         Exception: of class `error`; the file is missing, special, too large, or cannot be read.
     """
     try:
-        if path.exists() and not path.is_file():  # reading a pipe may never end
-            raise error(f"{path}: not a regular file")
         size = path.stat().st_size
-        if size > most:
-            raise error(f"{path}: larger than {most >> 20} MiB, the most read of such files")
-        with path.open("rb") as file:
-            return file.read(size)  # no more, if it grows
+        problem = f"larger than {most >> 20} MiB, the most read of such files"
+        if not path.is_file():  # reading a pipe may never end
+            problem = "not a regular file"
+        elif size <= most:
+            with path.open("rb") as file:
+                return file.read(size)  # no more, if it grows
     except FileNotFoundError:
-        raise error(f"{path}: no such file") from None
+        problem = "no such file"
     except OSError as reason:
-        raise error(f"{path}: cannot be read: {reason.strerror}") from None
+        problem = f"cannot be read: {reason.strerror}"
+    raise error(f"{path}: {problem}")
 
 
 def parse_json(content: bytes, where: str, error: type[Exception]) -> Any:
@@ -63,13 +64,13 @@ def read_number_table(path: Path, error: type[Exception]) -> np.ndarray:
     """
     content = read_bytes(path, ALLOWANCE, error)
     try:
-        if b"\n" not in content.strip():
-            raise ValueError("no rows")
-        return np.loadtxt(io.BytesIO(content), delimiter=",", skiprows=1, comments=None, ndmin=2)
-    except ValueError as reason:
-        raise error(
-            f"{path}: expected a header, and rows of seconds and numbers: {reason}"
-        ) from None
+        if b"\n" in content.strip():
+            rows = io.BytesIO(content)
+            return np.loadtxt(rows, delimiter=",", skiprows=1, comments=None, ndmin=2)
+        reason = "no rows"
+    except ValueError as problem:
+        reason = str(problem)
+    raise error(f"{path}: expected a header, and rows of seconds and numbers: {reason}")
 
 
 class Archive:
@@ -100,7 +101,7 @@ class Archive:
         """
         if key not in self:
             raise self._error(f"{self.path}: no key {key!r} in the archive")
-        info = self._members.NameToInfo[f"{key}.npy"]
+        info, problem = self._members.NameToInfo[f"{key}.npy"], ""
         try:
             if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise ValueError("it is packed in a way that numpy never does")
@@ -108,18 +109,20 @@ class Archive:
                 version = np.lib.format.read_magic(member)
                 shape, _, dtype = _READERS[version](member)
                 held = info.file_size - member.tell()
-            if dtype.hasobject:
-                raise ValueError("a pickled Python object could run code: save a plain array")
             n_bytes = dtype.itemsize * math.prod(shape)
-            if n_bytes != held or (not dtype.itemsize and math.prod(shape) > 1):
-                raise ValueError(f"{shape} of {dtype} takes {n_bytes} bytes, but it holds {held}")
-            if n_bytes > self._left:
-                raise ValueError(f"unpacks to {n_bytes / 2**20:.0f} MiB, far more than its file")
-            self._left -= n_bytes
-            with self._members.open(info) as member:
-                return np.lib.format.read_array(member, allow_pickle=False)
+            if dtype.hasobject:
+                problem = "a pickled Python object could run code: save a plain array"
+            elif n_bytes != held or (not dtype.itemsize and math.prod(shape) > 1):
+                problem = f"{shape} of {dtype} takes {n_bytes} bytes, but it holds {held}"
+            elif n_bytes > self._left:
+                problem = f"unpacks to {n_bytes / 2**20:.0f} MiB, far more than its file"
+            else:
+                self._left -= n_bytes
+                with self._members.open(info) as member:
+                    return np.lib.format.read_array(member, allow_pickle=False)
         except Exception as error:  # zipfile, zlib and numpy's parser of headers raise anything
-            raise self._error(f"{self.path}: key {key!r} cannot be read: {error}") from None
+            problem = str(error)
+        raise self._error(f"{self.path}: key {key!r} cannot be read: {problem}")
 
     def numbers(self, key: str, dtype: type = np.float64) -> np.ndarray:
         """Return the array called `key` as floating-point numbers.
@@ -140,18 +143,20 @@ class Archive:
         Raises:
             Exception: it cannot be read, has more than `at_most` texts, or invalid characters.
         """
-        values = self[key]
+        values, problem = self[key], ""
         if values.size > at_most:
-            raise self._error(f"{self.path}: key {key!r} holds {values.size} texts, too many")
-        if values.dtype.kind == "S":
+            problem = f"{values.size} texts, too many"
+        elif values.dtype.kind == "S":
             return [text.decode("ascii", "replace") for text in values.ravel().tolist()]
-        if values.dtype.kind != "U" or not values.dtype.itemsize:
+        elif values.dtype.kind != "U" or not values.dtype.itemsize:
             return []
-        values = np.ascontiguousarray(values).ravel()
-        # Python itself checks them only in parts, and fails with an internal error.
-        if values.view(values.dtype.str[0] + "u4").max(initial=0) > sys.maxunicode:
-            raise self._error(f"{self.path}: key {key!r} holds characters that do not exist")
-        return values.tolist()
+        else:
+            values = np.ascontiguousarray(values).ravel()
+            # Python itself checks them only in parts, and fails with an internal error.
+            if values.view(values.dtype.str[0] + "u4").max(initial=0) <= sys.maxunicode:
+                return values.tolist()
+            problem = "characters that do not exist"
+        raise self._error(f"{self.path}: key {key!r} holds {problem}")
 
 
 @contextmanager
@@ -168,8 +173,6 @@ def open_archive(path: str | os.PathLike[str], error: type[Exception]) -> Iterat
     """
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():  # reading a pipe may never end
-            raise ValueError("not a regular file")
         check_directory(path)
         members = zipfile.ZipFile(path)
     except FileNotFoundError:
@@ -194,6 +197,8 @@ def check_directory(path: Path, *, zip64: bool = False) -> None:
         path: of a zip archive.
         zip64: whether it may be one of the format for more than 4 GiB, as torch writes.
     """
+    if path.exists() and not path.is_file():  # reading a pipe may never end
+        raise ValueError("not a regular file")
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _TAIL))
@@ -203,11 +208,10 @@ def check_directory(path: Path, *, zip64: bool = False) -> None:
         raise ValueError("it is not a zip archive, or is truncated")
     (directory,) = _END.unpack_from(tail, at)
     if tail[max(0, at - 20) : at].startswith(b"PK\6\7"):
-        if not zip64:
-            raise ValueError("an archive of more than 4 GiB; cut the recording into pieces")
         start = at - _END_64.size
         directory, place = _END_64.unpack_from(tail, start) if start >= 0 else (0, 0)
-        if place != size - len(tail) + start:
-            raise ValueError("it is not a whole zip archive")
+        if not zip64 or place != size - len(tail) + start:
+            large = "an archive of more than 4 GiB; cut the recording into pieces"
+            raise ValueError("it is not a whole zip archive" if zip64 else large)
     if directory > _MAX_DIRECTORY:
         raise ValueError(f"its list of members takes {directory} bytes, of a few arrays")

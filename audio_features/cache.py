@@ -109,53 +109,45 @@ class DiskCache:
 
     def contents(self) -> Contents:
         """Summarise the entries of the cache."""
-        return self._contents(self._entries())
+        entries = self._files()[0].values()
+        used, size = [e.st_mtime for e in entries], sum(e.st_size for e in entries)
+        return Contents(len(entries), size, min(used, default=None), max(used, default=None))
 
     def clear(self) -> Contents:
         """Remove all entries, and nothing else in the folder; return a summary of them."""
-        entries = self._entries()
-        self._remove_unfinished(0.0)
-        for path in entries:
+        removed, files = self.contents(), self._files()
+        for path in (*files[0], *files[1]):
             path.unlink(missing_ok=True)
         for kind in KINDS:
             for folder in (*(self.folder / kind).glob("*"), self.folder / kind):
                 with contextlib.suppress(OSError):  # the folder holds other files
                     folder.rmdir()
-        return self._contents(entries)
-
-    def _contents(self, entries: dict[Path, os.stat_result]) -> Contents:
-        used = [entry.st_mtime for entry in entries.values()]
-        size = sum(entry.st_size for entry in entries.values())
-        return Contents(len(entries), size, min(used, default=None), max(used, default=None))
+        return removed
 
     def _make_room(self) -> None:
         """Remove least recently used entries above the limit, and files of killed runs."""
-        entries = self._entries()
+        entries, unfinished = self._files()
         size = sum(entry.st_size for entry in entries.values())
         for path in sorted(entries, key=lambda path: entries[path].st_mtime):
             if size <= self.max_bytes:
                 break
             path.unlink(missing_ok=True)
             size -= entries[path].st_size
-        self._remove_unfinished(_STALE_SECONDS)
+        for path, entry in unfinished.items():
+            if time.time() - entry.st_mtime >= _STALE_SECONDS:
+                path.unlink(missing_ok=True)
         self._unmeasured = 0
 
-    def _entries(self, *, unfinished: bool = False) -> dict[Path, os.stat_result]:
-        """Return the files of entries, or those of entries that are being written."""
-        files = {}
+    def _files(self) -> tuple[dict[Path, os.stat_result], dict[Path, os.stat_result]]:
+        """Return the files of entries, and those of entries that are being written."""
+        files: tuple[dict[Path, os.stat_result], dict[Path, os.stat_result]] = {}, {}
         for kind in KINDS:
             pattern = f"{glob.escape(str(self.folder / kind))}/*/*"
             # Unlike `Path.glob`, it takes it that another process removes a folder.
             for path in map(Path, glob.iglob(pattern, include_hidden=True)):  # noqa: PTH207
-                if (path.suffix == _PART) == unfinished:
-                    with contextlib.suppress(FileNotFoundError):  # removed by another process
-                        files[path] = path.stat()
+                with contextlib.suppress(FileNotFoundError):  # removed by another process
+                    files[path.suffix == _PART][path] = path.stat()
         return files
-
-    def _remove_unfinished(self, age: float) -> None:
-        for path, entry in self._entries(unfinished=True).items():
-            if time.time() - entry.st_mtime >= age:
-                path.unlink(missing_ok=True)
 
 
 def size_limit() -> int:
@@ -221,15 +213,6 @@ class FeatureCache(DiskCache):
 
         from safetensors.numpy import save
 
-        path = self._entry(extractor, wave)
-        track = self._read(path, extractor)
-        if track is None:
-            track = extractor.extract(wave)
-            about = {"checksum": _checksum(track.values, track.times)}
-            self.write(path, save({"values": track.values, "times": track.times}, about))
-        return track
-
-    def _entry(self, extractor: Extractor, wave: Wave) -> Path:
         made_of = {
             "sound": wave.digest,
             "beside": extractor.digest_beside(wave) if hasattr(extractor, "digest_beside") else "",
@@ -239,7 +222,13 @@ class FeatureCache(DiskCache):
         }
         text = json.dumps(made_of, sort_keys=True, allow_nan=False)
         key = hashlib.sha256(text.encode()).hexdigest()
-        return self.path(KINDS[0], key, ".safetensors")
+        path = self.path(KINDS[0], key, ".safetensors")
+        track = self._read(path, extractor)
+        if track is None:
+            track = extractor.extract(wave)
+            about = {"checksum": _checksum(track.values, track.times)}
+            self.write(path, save({"values": track.values, "times": track.times}, about))
+        return track
 
     def _read(self, path: Path, extractor: Extractor) -> FeatureTrack | None:
         """Read an entry and mark it as used; None if it is missing or damaged."""

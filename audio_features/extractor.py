@@ -9,13 +9,13 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from audio_features.acoustic.analysis import ShortTimeSpectrum
-from audio_features.acoustic.extractors import AcousticExtractor
+from audio_features.acoustic import AcousticExtractor, ShortTimeSpectrum
 from audio_features.errors import AudioFeaturesError, FeatureError, WeightsError
 from audio_features.kinds import KINDS, digest_of_sources, installed_kinds
 from audio_features.track import FeatureTrack
@@ -79,19 +79,11 @@ class Stack:
             raise FeatureError("an empty stack: give at least one extractor")
         self.names = tuple(name for part in self.parts for name in part.names)
         self.centred = tuple(mark for part in self.parts for mark in part.centred)
+        self.dim = len(self.names)
+        self.spec = {"kind": "stack", "parts": [part.spec for part in self.parts]}
         doubles = sorted({name for name in self.names if self.names.count(name) > 1})
         if doubles:
             raise FeatureError(f"two parts of a stack both give {doubles[0]!r}: list it once")
-
-    @property
-    def spec(self) -> dict[str, Any]:
-        """Spec {"kind": "stack", "parts": [spec, …]}."""
-        return {"kind": "stack", "parts": [part.spec for part in self.parts]}
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D, summed over the parts."""
-        return len(self.names)
 
     def extract(
         self,
@@ -108,16 +100,13 @@ class Stack:
         tracks = []
         for part in self.parts:
             if isinstance(part, AcousticExtractor):
-                if part.device not in spectra:
-                    spectra[part.device] = part.spectrum_of(wave)
-                tracks.append(part.from_spectrum(spectra[part.device]))
+                tracks.append(part.extract(wave, spectra))
             else:
                 tracks.append(extract(part, wave))
         times = max((track.times for track in tracks), key=len)
-        values = [
-            track.values if track.times is times else track.at(times).values for track in tracks
-        ]
-        return FeatureTrack(np.concatenate(values, axis=1), times, self.spec, self.names)
+        each = [track if track.times is times else track.at(times) for track in tracks]
+        values = np.concatenate([track.values for track in each], axis=1)
+        return FeatureTrack(values, times, self.spec, self.names)
 
     def __repr__(self) -> str:
         return f"Stack({list(self.parts)})"
@@ -166,10 +155,9 @@ class Installed:
         try:
             track = self._made.extract(wave)
             return FeatureTrack(track.values, track.times, self.spec, self.names)
-        except AudioFeaturesError as error:
-            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {error}") from error
         except Exception as error:  # foreign code may raise anything; other sounds go on
-            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {error!r}") from error
+            reason = error if isinstance(error, AudioFeaturesError) else repr(error)
+            raise FeatureError(f"{wave.source or 'the sound'}: {self._who}: {reason}") from error
 
     def __repr__(self) -> str:
         return f"Installed({self.spec})"
@@ -183,10 +171,7 @@ def _code_of(entry: EntryPoint) -> str:
 
 
 def extractor_from_spec(
-    spec: dict[str, Any],
-    *,
-    weights: WeightPlaces | None = None,
-    device: str = "cpu",
+    spec: dict[str, Any], *, weights: WeightPlaces | None = None, device: str = "cpu"
 ) -> Extractor:
     """Build the extractor that a spec describes.
 
@@ -215,24 +200,22 @@ def extractor_from_spec(
         stack
     """
     settings = dict(spec) if isinstance(spec, dict) else {}
-    kind = settings.pop("kind", None)
+    kind, places = settings.pop("kind", None), _places(spec, weights)
     if kind == "stack":
         parts = settings.pop("parts", None)
         if settings or not isinstance(parts, list):
             raise FeatureError(f"feature spec {spec!r}: a stack has 'parts', a list of specs")
-        weights = _by_kind(parts, weights)
-        return Stack([extractor_from_spec(part, weights=weights, device=device) for part in parts])
+        return Stack([extractor_from_spec(part, weights=places, device=device) for part in parts])
     if kind not in KINDS:
         return _installed(kind, settings, device)
-    make = KINDS[kind].load()
+    module, name = KINDS[kind].module, KINDS[kind].name
+    if needs_weights(spec) and kind == "words":
+        module, name = "huggingface.word_embeddings", "WordEmbeddings"
+    make: Any = getattr(import_module(f"audio_features.{module}"), name)
     if needs_weights(spec):
-        if kind == "words":
-            from audio_features.huggingface.word_embeddings import WordEmbeddings
-
-            make = WordEmbeddings
-        make = partial(make, _folder_of(kind, settings, weights), device=device)
-    elif kind == "files" and (place := _place_of(kind, weights)) is not None:
-        settings["folder"] = place
+        make = partial(make, _folder_of(kind, settings, places), device=device)
+    elif kind == "files" and kind in places:
+        settings["folder"] = places[kind]
     if settings.get("backend") == "torchaudio":
         settings["device"] = device
     try:
@@ -242,14 +225,13 @@ def extractor_from_spec(
 
 
 def _folder_of(
-    kind: str, settings: dict[str, Any], weights: WeightPlaces | None
+    kind: str, settings: dict[str, Any], places: Mapping[str, str | os.PathLike[str]]
 ) -> str | os.PathLike[str]:
     """Return the place of an encoder, and take it and the model's name out of the settings."""
     name = _PLACES[kind]
-    folder = settings.pop(name, None) or _place_of(kind, weights)
-    model = settings.pop("model", None) or {"wavlm": "WavLM", "words": "a text encoder"}.get(
-        kind, "a Hugging Face speech encoder"
-    )
+    folder = settings.pop(name, None) or places.get(kind)
+    usual = {"wavlm": "WavLM", "words": "a text encoder", "hf": "a Hugging Face speech encoder"}
+    model = settings.pop("model", None) or usual[kind]
     if folder is None:
         wanted = settings.get("fingerprint")
         which = f" with fingerprint {wanted}" if wanted else ""
@@ -261,13 +243,13 @@ def _folder_of(
 
 def _installed(kind: Any, settings: dict[str, Any], device: str) -> Installed:
     """Return the extractor of an installed package; FeatureError for a kind that none has."""
-    kinds = installed_kinds()
-    if kind in kinds:
-        return Installed(kinds[kind], settings, device)
-    if package := settings.get("package"):
-        raise FeatureError(f"extractor {kind!r} is not here: install {package!r} if you trust it")
+    if entry := (kinds := installed_kinds()).get(kind):
+        return Installed(entry, settings, device)
     known, spec = ", ".join([*KINDS, *kinds, "stack"]), {"kind": kind, **settings}
-    raise FeatureError(f"feature spec {spec!r}: kind {kind!r} is none of {known}")
+    problem = f"feature spec {spec!r}: kind {kind!r} is none of {known}"
+    if package := settings.get("package"):
+        problem = f"extractor {kind!r} is not here: install {package!r} if you trust it"
+    raise FeatureError(problem)
 
 
 def needs_weights(spec: Any) -> bool:
@@ -275,9 +257,7 @@ def needs_weights(spec: Any) -> bool:
 
     Times of words, {"kind": "words"}, need none; a word encoder has further settings.
     """
-    if not isinstance(spec, dict):
-        return False
-    kind = spec.get("kind")
+    kind = spec.get("kind") if isinstance(spec, dict) else None
     return kind in ("wavlm", "hf") or (kind == "words" and len(spec) > 1)
 
 
@@ -288,23 +268,30 @@ def needs_of(spec: Any) -> list[str]:
         >>> needs_of({"kind": "files", "dim": 64, "suffix": ".npy", "rate": 50})
         ['STEM.npy with 64 columns, beside each sound or in --weights files=FOLDER']
     """
-    spec = spec if isinstance(spec, dict) else {}
-    kind = spec.get("kind")
-    if kind == "stack":
-        parts = spec.get("parts")
-        return (
-            [need for part in parts for need in needs_of(part)] if isinstance(parts, list) else []
-        )
-    needs = [f"the weights of the encoder: --weights {kind}=PATH"] if needs_weights(spec) else []
-    if kind == "words":
-        needs.append("a list of words with times beside each sound, such as STEM.TextGrid")
-    elif kind == "files":
-        files = f"STEM{spec.get('suffix')} with {spec.get('dim')} columns"
-        needs.append(f"{files}, beside each sound or in --weights files=FOLDER")
-    elif kind is not None and kind not in KINDS:
-        here = "" if kind in installed_kinds() else ", which is not installed here"
-        needs.append(f"the extractor {kind} of the package {spec.get('package')}{here}")
+    needs = []
+    for part in _leaves(spec):
+        kind = part.get("kind")
+        if needs_weights(part):
+            needs.append(f"the weights of the encoder: --weights {kind}=PATH")
+        if kind == "words":
+            needs.append("a list of words with times beside each sound, such as STEM.TextGrid")
+        elif kind == "files":
+            files = f"STEM{part.get('suffix')} with {part.get('dim')} columns"
+            needs.append(f"{files}, beside each sound or in --weights files=FOLDER")
+        elif kind is not None and kind not in KINDS:
+            here = "" if kind in installed_kinds() else ", which is not installed here"
+            needs.append(f"the extractor {kind} of the package {part.get('package')}{here}")
     return needs
+
+
+def _leaves(spec: Any) -> list[dict[str, Any]]:
+    """Return the specs of a stack, or the spec alone; none of what is no spec."""
+    if not isinstance(spec, dict):
+        return []
+    if spec.get("kind") != "stack":
+        return [spec]
+    parts = spec["parts"] if isinstance(spec.get("parts"), list) else []
+    return [leaf for part in parts for leaf in _leaves(part)]
 
 
 def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
@@ -313,30 +300,22 @@ def folder_in_spec(spec: Mapping[str, Any]) -> str | None:
     return spec.get(name) if name else None
 
 
-def _place_of(kind: str, weights: WeightPlaces | None) -> str | os.PathLike[str] | None:
-    """Return the place of the weights or files of one kind of extractor.
+def _places(spec: Any, weights: WeightPlaces | None) -> Mapping[str, str | os.PathLike[str]]:
+    """Return the places of weights and files by kind; one path is that of the spec's encoder.
 
-    Raises WeightsError for a kind that does not exist.
+    Raises WeightsError for a kind without weights and files, and for one path of several encoders.
     """
-    if not isinstance(weights, Mapping):
+    if weights is None:
+        return {}
+    if isinstance(weights, Mapping):
+        known = ", ".join(_PLACES)
+        for name in weights.keys() - _PLACES.keys():
+            problem = f"{name!r} has no weights or files; expected {known}"
+            raise WeightsError(f"weights {name}={os.fspath(weights[name])}: {problem}")
         return weights
-    for name in weights:
-        if name not in _PLACES:
-            known = f"{name!r} has no weights or files; expected {', '.join(_PLACES)}"
-            raise WeightsError(f"weights {name}={os.fspath(weights[name])}: {known}")
-    return weights.get(kind)
-
-
-def _by_kind(parts: list[Any], weights: WeightPlaces | None) -> WeightPlaces | None:
-    """Return the places by kind if one path is given and an encoder needs it.
-
-    Raises WeightsError if one path is given for several encoders.
-    """
-    if weights is None or isinstance(weights, Mapping):
-        return weights
-    encoders = [part["kind"] for part in parts if needs_weights(part) and not folder_in_spec(part)]
-    kinds = list(dict.fromkeys(encoders))
+    encoders = [part for part in _leaves(spec) if needs_weights(part) and not folder_in_spec(part)]
+    kinds = list(dict.fromkeys(part["kind"] for part in encoders)) or ["files"]
     if len(kinds) > 1:
         named = " ".join(f"--weights {kind}=PATH" for kind in kinds)
         raise WeightsError(f"{os.fspath(weights)}: give the weights of each encoder ({named})")
-    return {kinds[0]: weights} if kinds else weights
+    return {kinds[0]: weights}

@@ -6,9 +6,8 @@ import contextlib
 import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -34,22 +33,18 @@ class Kind:
     argument: str | None = None
     place: str | None = None
 
-    def load(self) -> Any:
-        """Import and return the class."""
-        return getattr(import_module(f"audio_features.{self.module}"), self.name)
-
 
 KINDS = {
-    "logmel": Kind("acoustic.extractors", "LogMel", "n_mels"),
-    "mfcc": Kind("acoustic.extractors", "MFCC", "n"),
-    "prosody": Kind("acoustic.extractors", "Prosody"),
-    "onset": Kind("acoustic.extractors", "Onset"),
-    "prosodic_range": Kind("acoustic.extractors", "ProsodicRange", "seconds"),
-    "effort": Kind("acoustic.extractors", "Effort", "seconds"),
-    "music": Kind("acoustic.extractors", "Music", "n_chroma"),
+    "logmel": Kind("acoustic", "LogMel", "n_mels"),
+    "mfcc": Kind("acoustic", "MFCC", "n"),
+    "prosody": Kind("acoustic", "Prosody"),
+    "onset": Kind("acoustic", "Onset"),
+    "prosodic_range": Kind("acoustic", "ProsodicRange", "seconds"),
+    "effort": Kind("acoustic", "Effort", "seconds"),
+    "music": Kind("acoustic", "Music", "n_chroma"),
     "words": Kind("words", "Words", "encoder", place="encoder"),
-    "wavlm": Kind("wavlm.extractor", "WavLM", place=""),
-    "hf": Kind("huggingface.extractor", "HuggingFace", "path", place="path"),
+    "wavlm": Kind("wavlm", "WavLM", place=""),
+    "hf": Kind("huggingface", "HuggingFace", "path", place="path"),
     "files": Kind("files", "Files", "dim", place="folder"),
 }
 """Extractors by the `kind` of their specs, in the order in which messages list them."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from audio_features.errors import AudioError, FeatureError
 from audio_features.track import FeatureTrack
 from audio_features.wave import Wave
+from audio_features.weight_files import check_fingerprint
 
 if TYPE_CHECKING:
     import torch
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 SAMPLE_RATE = 16_000
 """Sample rate in Hz of every speech encoder."""
 _SHORTEST_CHUNK = 320 / SAMPLE_RATE  # seconds: one frame of the published encoders
-_SECONDS = ("full_context", "chunk", "context")
 
 
 def normalized(samples: np.ndarray, eps: float | None) -> np.ndarray:
@@ -73,25 +72,23 @@ class Options:
     full_context: float = 300.0
     chunk: float = 30.0
     context: float = 5.0
+    seconds: dict[str, float] = field(init=False, repr=False)
+    """`full_context`, `chunk` and `context` by name, in seconds."""
 
     def __post_init__(self) -> None:
-        given = ", ".join(f"{name}={value!r}" for name, value in self.seconds.items())
+        given = {name: value for name, value in vars(self).items() if name != "normalize"}
         try:
-            full, length, around = map(float, self.seconds.values())
+            seconds = dict(zip(given, map(float, given.values())))
+            full, length, around = seconds.values()
             is_right = max(full, length) < 1e6 and min(full, around) >= 0
             is_right &= 2 * around + _SHORTEST_CHUNK <= length
         except (TypeError, ValueError):
             is_right = False
         if not is_right:
+            values = ", ".join(f"{name}={value!r}" for name, value in given.items())
             how = "seconds from 0 to 1000000, and chunks longer than twice their context"
-            raise FeatureError(f"{given}: give {how}")
-        for name, value in self.seconds.items():
-            object.__setattr__(self, name, float(value))
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """`full_context`, `chunk` and `context` by name, in seconds."""
-        return {name: getattr(self, name) for name in _SECONDS}
+            raise FeatureError(f"{values}: give {how}")
+        object.__setattr__(self, "seconds", seconds)
 
     def chunks(self, n_frames: int, hop: int, most: int | None = None) -> list[tuple[slice, slice]]:
         """Return the `chunk_slices` of a sound.
@@ -138,7 +135,7 @@ class LayerChoice:
 
     Attributes:
         indices: selected indices into transformers' `hidden_states`.
-        shares: weight of each index, which sum to 1, if the states are averaged, else None.
+        shares: weight of each index, which sum to 1, if the states are averaged, else empty.
         is_list: true if several states are concatenated; the column names then include the layer.
         spec: the selection as a JSON-serialisable value.
 
@@ -151,7 +148,7 @@ class LayerChoice:
         self.top, self.final_norm = top, layer == "last" if final_norm is None else final_norm
         self.is_list = isinstance(layer, list | tuple)
         self.spec: Any = list(layer) if isinstance(layer, tuple) else layer
-        weights: list[float] | None = None
+        weights: list[float] = []
         if isinstance(layer, Mapping):
             # JSON turns the keys of a spec into strings.
             chosen = [int(key) if str(key).isdecimal() else key for key in layer]
@@ -167,18 +164,17 @@ class LayerChoice:
             several: list[Any] = list(layer) if isinstance(layer, list | tuple) else [layer]
             chosen = [top] if layer == "last" else several
         numbers = {index for index in chosen if type(index) is int and 0 <= index <= top}
+        total, problem = sum(weights), ""
         if not chosen or len(numbers) < len(chosen):
-            once = f"different numbers from 0 to {top}"
-            raise FeatureError(f"layer={layer!r}: give 'last', 'mean', or {once}")
+            problem = f"give 'last', 'mean', or different numbers from 0 to {top}"
+        elif final_norm and top not in chosen:
+            problem = f"leave out final_norm, which is layer {top}'s"
+        elif weights and not (np.isfinite(total) and total):
+            problem = "give finite weights that do not sum to 0"
+        if problem:
+            raise FeatureError(f"layer={layer!r}: {problem}")
         self.indices = tuple(chosen)
-        if final_norm and top not in chosen:
-            raise FeatureError(f"layer={layer!r}: leave out final_norm, which is layer {top}'s")
-        self.shares: dict[int, float] | None = None
-        if weights is not None:
-            total = sum(weights)
-            if not np.isfinite(total) or total == 0:
-                raise FeatureError(f"layer={layer!r}: give finite weights that do not sum to 0")
-            self.shares = {index: weight / total for index, weight in zip(chosen, weights)}
+        self.shares = {index: weight / total for index, weight in zip(chosen, weights)}
 
     def pick(self, encoder: Any, states: Iterable[torch.Tensor]) -> torch.Tensor:
         """Compute the features (B, T, D) from the states 0, 1, … that `encoder` yields.
@@ -194,10 +190,10 @@ class LayerChoice:
                 continue
             if index == self.top and self.final_norm and encoder.ends_in_norm:
                 state = encoder.final_norm(state)
-            if self.shares is None:
-                picked[index] = state
-            else:
+            if self.shares:
                 picked[0] = picked.get(0, 0.0) + self.shares[index] * state
+            else:
+                picked[index] = state
         if len(picked) == 1:
             return next(iter(picked.values()))
         return torch.cat([picked[index] for index in self.indices], dim=-1)
@@ -208,19 +204,31 @@ class HiddenStateExtractor(ABC):
 
     Attributes:
         weights: description of the weights; `weights.describe()` summarises it in one line.
-        stem: beginning of the columns' names.
         spec: settings from which the extractor can be built again, as a JSON-serialisable value.
         normalize: number added to the waveform's variance; None if it is not normalised.
         first, hop: centre of the first frame, and the distance of two, in samples at 16 kHz.
+        names: of the D columns: wavlm_0 …; wavlm_LAYER_0 … if there are several layers.
+        dim: D, the encoder's width for each layer (WavLM Base 768, Large 1024).
     """
 
     weights: Any
-    stem: str
     spec: Any
-    normalize: float | None
     first: float
     hop: int
-    _choice: LayerChoice
+
+    def _choose(
+        self, layer: Layer, final_norm: bool | None, options: Options, fingerprint: str | None
+    ) -> None:
+        """Set what follows from `weights`, which must be those of `fingerprint`, and settings."""
+        check_fingerprint(self.weights.path, self.weights.fingerprint, fingerprint)
+        self.fingerprint, self._options = self.weights.fingerprint, options
+        self.normalize = options.eps(self.weights.normalize)
+        self._choice = choice = LayerChoice(layer, final_norm, self.weights.layers)
+        stem = self.weights.model.replace("-", "_")
+        stems = [f"{stem}_{index}" for index in choice.indices] if choice.is_list else [stem]
+        self.names = tuple(f"{stem}_{i}" for stem in stems for i in range(self.weights.width))
+        self.dim = len(self.names)
+        self.centred = (True,) * self.dim  # a clip's mean is that of voice and recording
 
     @abstractmethod
     def hidden_states(self, samples: np.ndarray) -> np.ndarray:
@@ -237,34 +245,6 @@ class HiddenStateExtractor(ABC):
             raise AudioError(f"{wave.source or 'the sound'}: {short}: give a longer sound")
         times = (self.first + self.hop * np.arange(len(values))) / SAMPLE_RATE
         return FeatureTrack(values, times, self.spec, self.names)
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the weights, see their class."""
-        return self.weights.fingerprint
-
-    @property
-    def layer(self) -> Any:
-        """Layer or layers, as in the spec."""
-        return self._choice.spec
-
-    @property
-    def centred(self) -> tuple[bool, ...]:
-        """D flags, all true: a clip's mean depends on voice and recording conditions."""
-        return (True,) * self.dim
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns: wavlm_0 …; wavlm_LAYER_0 … if there are several layers."""
-        width = range(self.weights.width)
-        if not self._choice.is_list:
-            return tuple(f"{self.stem}_{i}" for i in width)
-        return tuple(f"{self.stem}_{layer}_{i}" for layer in self._choice.indices for i in width)
-
-    @property
-    def dim(self) -> int:
-        """Number of columns D: the encoder's width for each layer (WavLM Base 768, Large 1024)."""
-        return len(self.names)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.weights.path!r}, {self.spec})"

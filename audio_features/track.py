@@ -56,26 +56,24 @@ class FeatureTrack:
         times = np.ascontiguousarray(self.times, dtype=np.float64)
         if values.ndim != 2 or times.shape != values.shape[:1] or len(times) == 0:
             raise FeatureError(f"values {values.shape}, times {times.shape}: expected (T, D), (T,)")
-        names = tuple(self.names) or tuple(str(i) for i in range(values.shape[1]))
+        names, problem = tuple(self.names) or tuple(map(str, range(values.shape[1]))), ""
         if len(names) != values.shape[1]:
-            raise FeatureError(f"{len(names)} names for {values.shape[1]} columns")
-        if (bad := bad_value(values)) is not None:
-            row, column = bad
-            value = np.asarray(self.values)[row, column]
-            raise FeatureError(f"column {names[column]!r}, frame {row}: {value:g} {NO_NUMBER}")
-        if not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
-            raise FeatureError("times must be finite and ascend")
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "names", names)
+            problem = f"{len(names)} names for {values.shape[1]} columns"
+        elif (bad := bad_value(values)) is not None:
+            value = np.asarray(self.values)[bad]
+            problem = f"column {names[bad[1]]!r}, frame {bad[0]}: {value:g} {NO_NUMBER}"
+        elif not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
+            problem = "times must be finite and ascend"
+        if problem:
+            raise FeatureError(problem)
+        for name, value in {"values": values, "times": times, "names": names}.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         kind = f" of {self.spec['kind']}" if "kind" in self.spec else ""
         frames, features = self.values.shape
-        return (
-            f"FeatureTrack({frames} frames of {features} features{kind}, "
-            f"{self.times[0]:.3f} to {self.times[-1]:.3f} s)"
-        )
+        what = f"{frames} frames of {features} features{kind}"
+        return f"FeatureTrack({what}, {self.times[0]:.3f} to {self.times[-1]:.3f} s)"
 
     def at(self, times: np.ndarray) -> FeatureTrack:
         """Interpolate at times (M,) in seconds: linear, constant beyond both ends."""
@@ -88,10 +86,7 @@ class FeatureTrack:
         return self._with(self.values[lo] * (1 - w) + self.values[lo + 1] * w, times)
 
     def to_rate(
-        self,
-        fps: float,
-        n_frames: int | None = None,
-        method: Method = "linear",
+        self, fps: float, n_frames: int | None = None, method: Method = "linear"
     ) -> FeatureTrack:
         """Align the track with motion frames: frame k is at k/fps.
 
@@ -108,10 +103,9 @@ class FeatureTrack:
         if n_frames is None:
             # The tolerance absorbs rounding: 0.29 · 100 is 28.999999999999996.
             n_frames = math.floor(self.times[-1] * float(rate) + 1e-6) + 1
-        if n_frames < 1:
-            raise FeatureError(f"n_frames={n_frames}: at least 1")
-        if method not in ALIGNMENTS:
-            raise FeatureError(f"method={method!r}: one of {', '.join(ALIGNMENTS)}")
+        if n_frames < 1 or method not in ALIGNMENTS:
+            expected = f"at least 1 frame, and one of {', '.join(ALIGNMENTS)}"
+            raise FeatureError(f"n_frames={n_frames}, method={method!r}: give {expected}")
         times = np.arange(n_frames) * rate.denominator / rate.numerator
         track = self.at(times)
         if method == "linear":
@@ -148,7 +142,7 @@ class FeatureTrack:
 
         Raises FeatureError for other files and newer formats.
         """
-        name = os.fspath(path)
+        name, problem = os.fspath(path), ""
         try:
             if name.lower().endswith(".csv"):
                 rows = read_number_table(Path(name), FeatureError)
@@ -160,15 +154,16 @@ class FeatureTrack:
             reason = str(error).removeprefix(f"{Path(name)}: ")
             how = f"{reason}: make it again with `gesturekit features`"
             raise FeatureError(f"{name}: not a feature file (npz, csv): {how}") from error
-        if not isinstance(spec, dict):
-            raise FeatureError(f"{name}: spec is {type(spec).__name__}, expected a JSON object")
-        number, names = spec.pop("format", FORMAT), spec.pop("names", ())
-        if number != FORMAT:
-            raise FeatureError(f"{name}: format {number!r}, this version reads {FORMAT}: upgrade")
         try:
-            return cls(values, times, spec, tuple(map(str, names)))
+            if not isinstance(spec, dict):
+                raise TypeError(f"spec is {type(spec).__name__}, expected a JSON object")
+            number, names = spec.pop("format", FORMAT), spec.pop("names", ())
+            if number == FORMAT:
+                return cls(values, times, spec, tuple(map(str, names)))
+            problem = f"format {number!r}, this version reads {FORMAT}: upgrade"
         except (FeatureError, TypeError, ValueError) as error:
-            raise FeatureError(f"{name}: {error}") from error
+            problem = str(error)
+        raise FeatureError(f"{name}: {problem}")
 
     def _with(self, values: np.ndarray, times: np.ndarray) -> FeatureTrack:
         return FeatureTrack(values, times, self.spec, self.names)

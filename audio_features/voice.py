@@ -50,16 +50,15 @@ def voice_activity(wave: Wave) -> np.ndarray:
         >>> af.voice_activity(af.Wave.from_array(0.1 * voice + noise, 8000)).round(1)
         array([[4.5, 7.5]])
     """
-    if wave.duration < _SHORTEST:
-        return np.array([[0.0, wave.duration]])
+    seconds = len(wave.samples) / wave.sample_rate
+    if seconds < _SHORTEST:
+        return np.array([[0.0, seconds]])
     salience, f0 = _pitch_salience(wave.resample(_RATE).samples)
     stretches: list[list[float]] = []
     for first, last in _voiced_sounds(salience, f0):
         start, stop = first / _FPS - _MARGIN, last / _FPS + _MARGIN
-        if start < _GAP:
-            start = 0.0
-        if stop > wave.duration - _GAP:
-            stop = wave.duration
+        start = 0.0 if start < _GAP else start
+        stop = seconds if stop > seconds - _GAP else stop
         if stretches and start - stretches[-1][1] < _GAP - 2 * _MARGIN:
             stretches[-1][1] = stop
         else:

@@ -11,7 +11,7 @@ import os
 import pickle
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,10 +35,10 @@ _INDEX = "model.safetensors.index.json"
 _LEFT_OUT = ("adapter.", "intermediate_ffn.", "masked_spec_embed", "embeddings.position_ids")
 # Names of normalisations in files of older versions.
 _OLD_NAMES = (
-    (".weight_g", ".parametrizations.weight.original0"),
-    (".weight_v", ".parametrizations.weight.original1"),
-    ("LayerNorm.gamma", "LayerNorm.weight"),
-    ("LayerNorm.beta", "LayerNorm.bias"),
+    (r"\.weight_g", ".parametrizations.weight.original0"),
+    (r"\.weight_v", ".parametrizations.weight.original1"),
+    (r"LayerNorm\.gamma", "LayerNorm.weight"),
+    (r"LayerNorm\.beta", "LayerNorm.bias"),
 )
 
 
@@ -73,10 +73,9 @@ class EncoderWeights:
 
 def normalization_text(eps: float | None) -> str:
     """Say how a waveform is normalised with `eps` added to its variance."""
-    how = "not normalised"
-    if eps is not None:
-        how = f"normalised to mean 0 and variance 1 (eps {eps:g})"
-    return f"waveform {how}"
+    if eps is None:
+        return "waveform not normalised"
+    return f"waveform normalised to mean 0 and variance 1 (eps {eps:g})"
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -136,12 +135,11 @@ def read_folder(folder: Path) -> dict[str, torch.Tensor]:
     Raises WeightsError if there is none of them or one cannot be read.
     """
     names = ("model.safetensors", _INDEX, "pytorch_model.bin")
-    there = [name for name in names if (folder / name).is_file()]
-    if not there:
+    files = [name for name in names if (folder / name).is_file()][:1]
+    if not files:
         here = ", ".join(sorted(entry.name for entry in folder.iterdir())[:10]) or "nothing"
         wanted = "no model.safetensors and no pytorch_model.bin"
         raise WeightsError(f"{folder}: {wanted} (found: {here}): download the weights")
-    files = there[:1]
     if files == [_INDEX]:
         parts = read_json(folder / _INDEX).get("weight_map")
         files = sorted(set(map(str, parts.values()))) if isinstance(parts, dict) else []
@@ -211,12 +209,16 @@ def plain_tensors(path: Path, content: Any) -> dict[str, torch.Tensor]:
     claimed = sum(tensor.numel() * tensor.element_size() for tensor in content.values())
     if claimed > 2 * path.stat().st_size:
         raise _unreadable(path, f"tensors claim {claimed} bytes of {path.stat().st_size}")
-    tensors = {}
-    for name, tensor in content.items():
-        for old, new in _OLD_NAMES:
-            name = str(name).replace(old, new)
-        tensors[name] = tensor
-    return tensors
+    return renamed({str(name): tensor for name, tensor in content.items()}, _OLD_NAMES)
+
+
+def renamed(
+    tensors: Mapping[str, torch.Tensor], table: Iterable[tuple[str, str]]
+) -> dict[str, torch.Tensor]:
+    """Return tensors by names in which each regular expression of a table is replaced."""
+    for old, new in table:
+        tensors = {re.sub(old, new, name): tensor for name, tensor in tensors.items()}
+    return dict(tensors)
 
 
 def encoder_tensors(
@@ -247,19 +249,13 @@ def fitting_tensors(
     import torch
 
     parts = {name.split(".")[0] for name in shapes}
-    unknown = [
-        name
-        for name in tensors
-        if name not in shapes and name.split(".")[0] in parts and not name.startswith(_LEFT_OUT)
-    ]
+    others = (name for name in tensors if name not in shapes and not name.startswith(_LEFT_OUT))
+    found = {name: tuple(tensors[name].shape) for name in shapes if name in tensors}
+    differing = {name: shape for name, shape in found.items() if shape != shapes[name]}
     problems = {
         "missing": [name for name in shapes if name not in tensors],
-        "unknown": unknown,
-        "of another shape": [
-            f"{name} {tuple(tensors[name].shape)}, not {shape}"
-            for name, shape in shapes.items()
-            if name in tensors and tuple(tensors[name].shape) != shape
-        ],
+        "unknown": [name for name in others if name.split(".")[0] in parts],
+        "of another shape": [f"{n} {shape}, not {shapes[n]}" for n, shape in differing.items()],
     }
     for problem, names in problems.items():
         if names:

@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -65,19 +66,18 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
         >>> af.load_words(folder / "talk.ctm")
         (Word(start=0.5, end=0.75, text='hello'),)
     """
-    path = Path(path)
+    path, words = Path(path), []
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise FeatureError(f"{path}: not a word list: give one of {', '.join(SUFFIXES)}")
-    words, data = [], read_bytes(path, _MAX_BYTES, FeatureError)
+    data = read_bytes(path, _MAX_BYTES, FeatureError)
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         for where, start, end, text in reader(data.decode(encoding)):
-            begin, stop = _seconds(where, start), _seconds(where, end)
-            if stop < begin:
-                raise ValueError(f"{where}: ends at {stop} s, before {begin} s")
-            if str(text).strip().lower() not in _SILENCES:
-                words.append(Word(begin, stop, str(text).strip()))
+            word = Word(_seconds(where, start), _seconds(where, end), str(text).strip())
+            if word.end < word.start:
+                raise ValueError(f"{where}: ends at {word.end} s, before {word.start} s")
+            words += [word] if word.text.lower() not in _SILENCES else []
     except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise FeatureError(f"{path}: not a list of words with times: {error}") from error
     return tuple(sorted(words))
@@ -85,12 +85,9 @@ def load_words(path: str | os.PathLike[str]) -> tuple[Word, ...]:
 
 def words_beside(path: str | os.PathLike[str]) -> Path | None:
     """Return the word list beside a recording, STEM with one of `SUFFIXES`, or None."""
-    path = Path(path)
-    for suffix in SUFFIXES:
-        for spelling in (suffix, suffix.lower(), suffix.upper()):
-            if path.with_suffix(spelling).is_file():
-                return path.with_suffix(spelling)
-    return None
+    spellings = (s for suffix in SUFFIXES for s in (suffix, suffix.lower(), suffix.upper()))
+    files = map(Path(path).with_suffix, spellings)
+    return next((file for file in files if file.is_file()), None)
 
 
 def _seconds(where: str, value: Any) -> float:
@@ -111,50 +108,41 @@ def _textgrid(text: str) -> Entries:
     tokens = [token.strip('"') if token[0] == '"' else token for token in _TOKEN.findall(text)]
     if tokens[:2] != ["ooTextFile", "TextGrid"]:
         raise ValueError("not a TextGrid in Praat's text format: save it as text")
+    take, tiers = iter(tokens[5:]).__next__, []  # after the start, the end and <exists>
     try:
-        tiers = _interval_tiers(tokens[5:])  # after the start, the end and <exists>
+        for _ in range(int(take())):
+            kind, name, _, _ = take(), take(), take(), take()
+            size = 3 if kind == "IntervalTier" else 2
+            rows = [[take() for _ in range(size)] for _ in range(int(take()))]
+            tiers += [(name.strip().lower() in ("words", "word"), rows)] if size == 3 else []
     except StopIteration as error:
         raise ValueError("it ends in the middle of a tier") from error
     if not tiers:
         raise ValueError("no interval tier in it: words have a start and an end")
-    named = [rows for name, rows in tiers if name.strip().lower() in ("words", "word")]
-    for number, (start, end, mark) in enumerate((named or [tiers[0][1]])[0], start=1):
+    for number, (start, end, mark) in enumerate(max(tiers, key=itemgetter(0))[1], start=1):
         yield f"interval {number}", start, end, mark.replace('""', '"')
 
 
-def _interval_tiers(tokens: list[str]) -> list[tuple[str, list[list[str]]]]:
-    take = iter(tokens).__next__
-    tiers = []
-    for _ in range(int(take())):
-        kind, name, _, _ = take(), take(), take(), take()
-        size = 3 if kind == "IntervalTier" else 2
-        rows = []
-        for _ in range(int(take())):
-            rows.append([take() for _ in range(size)])
-        if size == 3:
-            tiers.append((name, rows))
-    return tiers
+def _rows(text: str, separator: str | None, columns: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the place and the cells of each line that has all columns."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.startswith(";;"):
+            cells = line.split(separator)
+            if len(cells) <= columns.count(" "):
+                raise ValueError(f"line {number}: expected {columns}")
+            yield f"line {number}", cells
 
 
 def _ctm(text: str) -> Entries:
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip() or line.startswith(";;"):
-            continue
-        where, cells = f"line {number}", line.split()
-        if len(cells) < 5:
-            raise ValueError(f"{where}: expected file, channel, start, duration and word")
+    for where, cells in _rows(text, None, "file, channel, start, duration, word"):
         start = _seconds(where, cells[2])
         yield where, start, start + _seconds(where, cells[3]), cells[4]
 
 
 def _tsv(text: str) -> Entries:
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip():
-            cells = line.split("\t")
-            if len(cells) < 3:
-                raise ValueError(f"line {number}: expected start, end and word, with tabs")
-            if not cells[2].strip().startswith("#"):  # laughter, in GENEA's transcripts
-                yield f"line {number}", cells[0], cells[1], cells[2]
+    for where, cells in _rows(text, "\t", "start, end, word"):
+        if not cells[2].strip().startswith("#"):  # laughter, in GENEA's transcripts
+            yield where, cells[0], cells[1], cells[2]
 
 
 def _captions(text: str) -> Entries:
@@ -189,11 +177,8 @@ def _json(text: str) -> Entries:
         raise ValueError(f"not JSON: {error}") from error
     if isinstance(values, dict):
         segments = values.get("segments") or values.get("metadata:transcript") or []
-        values = (
-            values.get("words")
-            or values.get("word_segments")
-            or [word for segment in segments for word in segment.get("words") or _spread(segment)]
-        )
+        inside = [word for segment in segments for word in segment.get("words") or _spread(segment)]
+        values = values.get("words") or values.get("word_segments") or inside
     for number, word in enumerate(values, start=1):
         said = word["word"] if "word" in word else word["text"]
         if "start" in word:  # WhisperX leaves the times of numerals out
@@ -203,10 +188,8 @@ def _json(text: str) -> Entries:
 def _spread(segment: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the words of a segment without times of its own."""
     said = str(segment.get("text") or segment.get("transcript") or "").split()
-    start, end = float(segment["start"]), float(segment["end"])
-    return [
-        {"word": word, "start": at, "end": stop} for at, stop, word in _shared(said, start, end)
-    ]
+    times = _shared(said, float(segment["start"]), float(segment["end"]))
+    return [{"word": word, "start": start, "end": end} for start, end, word in times]
 
 
 def _shared(said: list[str], start: float, end: float) -> Iterator[tuple[float, float, str]]:
@@ -264,8 +247,24 @@ class Words:
 
         Raises FeatureError if there is no word list, or it cannot be read.
         """
+        from scipy.ndimage import gaussian_filter1d
+
         n_frames = wave.n_frames(RATE)
-        values = _values(words_of(wave), n_frames)
+        values = np.zeros((n_frames, self.dim), np.float32)
+        spoken, onsets, gaps, rate = values.T
+        pauses, done = [], 0.0
+        for word in words_of(wave):
+            spoken[frames_of(word, RATE)] = 1.0
+            first = int(np.floor(RATE * word.start + 0.5))
+            if first >= 0:
+                onsets[first : first + 1] = 1.0
+            pauses.append((done, word.start))
+            done = max(done, word.end)
+        for start, end in [*pauses, (done, n_frames / RATE)]:
+            if end > start:
+                gaps[frames_of(Word(start, end, ""), RATE)] = np.log1p(end - start)
+        gaps *= 1.0 - spoken
+        rate[:] = gaussian_filter1d(onsets, _RATE_SPREAD * RATE, mode="constant") * RATE
         return FeatureTrack(values, np.arange(n_frames) / RATE, self.spec, self.names)
 
     def __repr__(self) -> str:
@@ -300,25 +299,3 @@ def frames_of(word: Word, rate: int) -> slice:
     """
     first, last = (int(np.floor(rate * time + 0.5)) for time in (word.start, word.end))
     return slice(max(first, 0), max(last, first + 1, 0))
-
-
-def _values(words: list[Word], n_frames: int) -> np.ndarray:
-    from scipy.ndimage import gaussian_filter1d
-
-    values = np.zeros((n_frames, Words.dim), np.float32)
-    spoken, onsets = values[:, 0], values[:, 1]
-    pauses, done = [], 0.0
-    for word in words:
-        spoken[frames_of(word, RATE)] = 1.0
-        first = int(np.floor(RATE * word.start + 0.5))
-        if 0 <= first < n_frames:
-            onsets[first] = 1.0
-        pauses.append((done, word.start))
-        done = max(done, word.end)
-    pauses.append((done, n_frames / RATE))
-    for start, end in pauses:
-        if end > start:
-            values[frames_of(Word(start, end, ""), RATE), 2] = np.log1p(end - start)
-    values[:, 2] *= 1.0 - spoken
-    values[:, 3] = gaussian_filter1d(onsets, _RATE_SPREAD * RATE, mode="constant") * RATE
-    return values

@@ -19,7 +19,7 @@ import soundfile
 import soxr
 
 from gesturekit.corpus import Manifest, prepare
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Item
 from gesturekit.motion import Motion
 from gesturekit.motion.concatenation import concatenate
 from gesturekit.motion.rig_changes import can_be_mirrored

@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from audio_features.acoustic.analysis import (
+from audio_features.acoustic import (
     FRAME_RATE,
     HOP,
     N_FFT,
     SAMPLE_RATE,
     VOICED,
     WINDOW,
-    Melody,
     ShortTimeSpectrum,
     audible_melody,
     centred_frames,
@@ -57,15 +56,6 @@ def check_streams(extractor: Any) -> None:
         if kind not in _KINDS:
             ways = f"{', '.join(_KINDS)} work on a stream"
             raise FeatureError(f"{kind}: these features need the whole sound; {ways}")
-
-
-class _StreamedSpectrum(ShortTimeSpectrum):
-    """Frames of a `SpectrumStream`, as the input of extractors."""
-
-    def __init__(self, times: np.ndarray, power: np.ndarray, melody: Melody) -> None:
-        self.n_frames, self.times, self.power = len(times), times, power
-        self._log_mels: dict[int, np.ndarray] = {}
-        self.melody = melody
 
 
 class SpectrumStream:
@@ -162,19 +152,15 @@ class SpectrumStream:
         self._voiced = np.concatenate([self._voiced, remembered])[-_REMEMBERED:]
         power = short_time_power(samples, n)[new]
         self._power = np.concatenate([self._power, power])[-self._kept :]
-        silent = self._voiceless(voiced)
+        frames = self.n_frames + np.arange(count)
+        last = np.maximum.accumulate(np.where(voiced, frames, self._last_voiced))
+        self._last_voiced = float(last[-1])
+        silent = frames - last > _VOICELESS_SECONDS * FRAME_RATE
         self._power[-count:][silent] = 0.0
         curves[silent, 0] = 0.0
         self._curves = np.concatenate([self._curves, curves])[-self._kept :]
         self.n_frames += count
         self._sound = self._sound[count * HOP :]
-
-    def _voiceless(self, voiced: np.ndarray) -> np.ndarray:
-        """Return flags of the new frames, True a while after the last voiced frame."""
-        frames = self.n_frames + np.arange(len(voiced))
-        last = np.maximum.accumulate(np.where(voiced, frames, self._last_voiced))
-        self._last_voiced = float(last[-1])
-        return frames - last > _VOICELESS_SECONDS * FRAME_RATE
 
     def window(self, seconds: float) -> tuple[ShortTimeSpectrum, np.ndarray]:
         """Return the last frames as a spectrum, and their speech activity (T,) bool.
@@ -183,22 +169,18 @@ class SpectrumStream:
         """
         count = min(round(seconds * FRAME_RATE), len(self._power))
         loudness, f0, periodicity = self._curves[-count:].T
-        level, pitch = self._speaker()
-        gain = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0) / level if level else 0.0
+        pitch = gain = 0.0
+        if len(self._voiced):
+            squares, log_f0 = self._voiced.T
+            # As in `Wave.active`: frames 20 dB below the mean do not count.
+            loud = squares[squares >= squares.mean() * 10.0 ** (-ACTIVE_RANGE_DB / 10.0)]
+            level, pitch = float(loud.mean()), float(np.exp(np.median(log_f0)))
+            gain = 10.0 ** (SPEECH_LEVEL_DBFS / 10.0) / level if level else 0.0
         energy = to_db(loudness * gain / 10.0 ** (SPEECH_LEVEL_DBFS / 10.0))
         melody = audible_melody(f0, periodicity, energy, pitch)
         times = (self.n_frames - count + np.arange(count)) / FRAME_RATE
         power = self._power[-count:] * np.float32(gain)
-        return _StreamedSpectrum(times, power, melody), energy >= -ACTIVE_RANGE_DB
-
-    def _speaker(self) -> tuple[float, float]:
-        """Return the mean square of speech so far, and its median f0 in Hz; 0 before any."""
-        power, log_f0 = self._voiced.T
-        if not len(power):
-            return 0.0, 0.0
-        # As in `Wave.active`: frames 20 dB below the mean do not count.
-        loud = power[power >= power.mean() * 10.0 ** (-ACTIVE_RANGE_DB / 10.0)]
-        return float(loud.mean()), float(np.exp(np.median(log_f0)))
+        return ShortTimeSpectrum.of_frames(times, power, melody), energy >= -ACTIVE_RANGE_DB
 
 
 _STATE = (

@@ -6,19 +6,11 @@ import because it is built for CUDA; everything else still works.
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from types import ModuleType
 
 import numpy as np
 
-from audio_features.acoustic.analysis import (
-    HOP,
-    N_FFT,
-    SAMPLE_RATE,
-    WINDOW,
-    ShortTimeSpectrum,
-    hann_window,
-)
 from audio_features.errors import FeatureError
 from audio_features.wave import Wave
 
@@ -46,25 +38,8 @@ def import_torchaudio() -> tuple[ModuleType | None, str | None]:
     return torchaudio, None
 
 
-def check_device(device: str) -> ModuleType:
-    """Return torchaudio; raise FeatureError if it or the device cannot be used."""
-    import torch
-
-    module, problem = import_torchaudio()
-    if module is None:
-        raise FeatureError(
-            f"backend='torchaudio': torchaudio is {problem}: install the build that matches "
-            "torch, or leave the backend out (see `gesturekit doctor`)"
-        )
-    try:
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise FeatureError(f"device={device!r}: {str(error).splitlines()[0]}") from error
-    return module
-
-
-class TorchaudioSpectrum(ShortTimeSpectrum):
-    """Short-time spectrum by torchaudio; values agree with the default's to about 0.01 dB.
+class Backend:
+    """torchaudio on a device; values agree with the default's to about 0.01 dB.
 
     Resampling differs above 7 kHz, where the two filters roll off differently. The whole sound
     is resampled on the device at once; the spectrum is computed in blocks of frames.
@@ -72,58 +47,58 @@ class TorchaudioSpectrum(ShortTimeSpectrum):
     Raises FeatureError if torchaudio or the device cannot be used.
     """
 
-    def __init__(self, wave: Wave, device: str = "cpu") -> None:
+    def __init__(self, device: str) -> None:
         import torch
 
-        self._functional = check_device(device).functional
-        self._device = torch.device(device)
-        super().__init__(wave)
+        module, problem = import_torchaudio()
+        if module is None:
+            remedy = "install the build that matches torch, or leave the backend out"
+            how = f"{remedy} (see `gesturekit doctor`)"
+            raise FeatureError(f"backend='torchaudio': torchaudio is {problem}: {how}")
+        try:
+            torch.zeros(1, device=device)
+        except (RuntimeError, AssertionError) as error:
+            raise FeatureError(f"device={device!r}: {str(error).splitlines()[0]}") from error
+        self._functional, self._device = module.functional, device
 
-    def _resampled(self, wave: Wave) -> Wave:
+    def resampled(self, wave: Wave, rate: int) -> Wave:
+        """Resample a sound."""
         import torch
 
-        if wave.sample_rate == SAMPLE_RATE:
+        if wave.sample_rate == rate:
             return wave
+        given = torch.from_numpy(wave.samples).to(self._device)
         with torch.inference_mode():
-            samples = self._functional.resample(
-                torch.from_numpy(wave.samples).to(self._device),
-                wave.sample_rate,
-                SAMPLE_RATE,
-                **_RESAMPLER,
-            )
-        return Wave(samples.cpu().numpy(), SAMPLE_RATE, wave.source)
+            samples = self._functional.resample(given, wave.sample_rate, rate, **_RESAMPLER)
+        return Wave(samples.cpu().numpy(), rate, wave.source)
 
-    @cached_property
-    def power(self) -> np.ndarray:
-        """Power (T, 257) float32; a frame's sum is its mean square relative to active speech."""
+    def power(
+        self, sound: np.ndarray, n_frames: int, window: np.ndarray, n_fft: int, hop: int
+    ) -> np.ndarray:
+        """Return the power (T, n_fft/2 + 1) float32 of a sound (N,) in windows (W,) every hop."""
         import torch
 
-        samples = torch.from_numpy(self.wave.samples)
-        window = torch.from_numpy(hann_window()).to(self._device)
-        power = np.empty((self.n_frames, N_FFT // 2 + 1), dtype=np.float32)
+        samples, taper = torch.from_numpy(sound), torch.from_numpy(window).to(self._device)
+        power = np.empty((n_frames, n_fft // 2 + 1), dtype=np.float32)
+        settings = {"n_fft": n_fft, "hop_length": hop, "win_length": len(window), "power": 2.0}
         with torch.inference_mode():
-            for first in range(0, self.n_frames, _BLOCK_FRAMES):
-                count = min(_BLOCK_FRAMES, self.n_frames - first)
-                start = first * HOP - N_FFT // 2
-                stop = start + (count - 1) * HOP + N_FFT
+            for first in range(0, n_frames, _BLOCK_FRAMES):
+                count = min(_BLOCK_FRAMES, n_frames - first)
+                start = first * hop - n_fft // 2
+                stop = start + (count - 1) * hop + n_fft
                 block = samples[max(start, 0) : max(stop, 0)].to(self._device)
                 missing = (max(-start, 0), stop - max(start, 0) - len(block))
+                block = torch.nn.functional.pad(block, missing)
                 spectrum = self._functional.spectrogram(
-                    torch.nn.functional.pad(block, missing),
-                    pad=0,
-                    window=window,
-                    n_fft=N_FFT,
-                    hop_length=HOP,
-                    win_length=WINDOW,
-                    power=2.0,
-                    normalized=False,
-                    center=False,
+                    block, pad=0, window=taper, normalized=False, center=False, **settings
                 )
                 power[first : first + count] = spectrum.T.cpu().numpy()
         return power
 
-    def _mel_filters(self, n_mels: int) -> np.ndarray:
-        filters = self._functional.melscale_fbanks(
-            N_FFT // 2 + 1, 50.0, SAMPLE_RATE / 2, n_mels, SAMPLE_RATE, mel_scale="slaney"
+    def mel_filters(self, n_mels: int) -> np.ndarray:
+        """Return (n_mels, 257) float32 triangles as `acoustic.mel_filters` does."""
+        return (
+            self._functional.melscale_fbanks(257, 50.0, 8000.0, n_mels, 16000, mel_scale="slaney")
+            .numpy()
+            .T
         )
-        return filters.numpy().T

@@ -99,15 +99,11 @@ def front_norm(config: Any) -> str:
 
 def is_encoder_folder(path: str | os.PathLike[str]) -> bool:
     """Return True for a folder whose config.json names an encoder other than WavLM."""
-    folder = Path(path)
-    if not (folder / "config.json").is_file():
-        return False
-    return read_json(folder / "config.json").get("model_type") in FAMILIES.keys() - {"wavlm"}
+    config = Path(path) / "config.json"
+    return config.is_file() and read_json(config).get("model_type") in FAMILIES.keys() - {"wavlm"}
 
 
-def read_encoder(
-    path: str | os.PathLike[str],
-) -> tuple[EncoderWeights, Any, torch.nn.Module]:
+def read_encoder(path: str | os.PathLike[str]) -> tuple[EncoderWeights, Any, torch.nn.Module]:
     """Read the encoder in a folder.
 
     Returns its description, transformers' configuration without what only training uses, and the
@@ -123,9 +119,10 @@ def read_encoder(
     folder = Path(path)
     model_type, config = read_configuration(folder, FAMILIES, "speech")
     family = FAMILIES[model_type]
-    normalize, stacked = None, 1
+    normalize, stacked, takes = None, 1, f"takes a {family.inputs}"
     if family.inputs == "waveform":
         normalize = expected_normalization(folder, front_norm(config))
+        takes = normalization_text(normalize)
     elif family.inputs == "filter bank":
         stacked = 2
         bins = config.feature_projection_input_dim // stacked
@@ -136,17 +133,10 @@ def read_encoder(
     about = {"model_type": model_type, "stride": stacked}
     network, fingerprint = read_network(folder, family, config, about)
     layers = int(getattr(config, "encoder_layers", 0) or config.num_hidden_layers)
-    width, takes = int(config.hidden_size), f"takes a {family.inputs}"
-    if family.inputs == "waveform":
-        takes = normalization_text(normalize)
+    width = int(config.hidden_size)
+    summary = f"{family.title}, Hugging Face folder: {layers} layers of {width}; {takes}"
     weights = EncoderWeights(
-        path=str(folder),
-        model=model_type,
-        summary=f"{family.title}, Hugging Face folder: {layers} layers of {width}; {takes}",
-        layers=layers,
-        width=width,
-        normalize=normalize,
-        fingerprint=fingerprint,
+        str(folder), model_type, summary, layers, width, normalize, fingerprint
     )
     return weights, config, network
 
@@ -165,17 +155,6 @@ def read_configuration(folder: Path, families: Mapping[str, Family], what: str) 
         problem = "not a folder" if folder.exists() else "no such folder"
         wanted = "a local Hugging Face folder with config.json and model.safetensors"
         raise WeightsError(f"{folder}: {problem}: give {wanted}")
-    _refuse_code(folder, families)
-    settings = read_json(folder / "config.json")
-    model_type = settings.get("model_type")
-    if not isinstance(model_type, str) or model_type not in families:
-        known = f"{', '.join(families)}: give the folder of a {what} encoder"
-        file = folder / "config.json"
-        raise WeightsError(f"{file}: model_type is {model_type!r}, expected one of {known}")
-    return model_type, _configuration(folder / "config.json", families[model_type], settings)
-
-
-def _refuse_code(folder: Path, families: Mapping[str, Family]) -> None:
     code = sorted(file.name for file in folder.glob("*.py"))
     for name in ("config.json", "preprocessor_config.json", "tokenizer_config.json"):
         if (folder / name).is_file() and "auto_map" in read_json(folder / name):
@@ -184,10 +163,12 @@ def _refuse_code(folder: Path, families: Mapping[str, Family]) -> None:
         held = f"code of its own ({', '.join(code[:_MOST_LISTED])}), which is never run"
         known = f"give an encoder that transformers has itself: {', '.join(families)}"
         raise WeightsError(f"{folder}: the model brings {held} (trust_remote_code): {known}")
-
-
-def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> Any:
-    """Return transformers' configuration object, checked for absurd sizes."""
+    path = folder / "config.json"
+    settings = read_json(path)
+    model_type = settings.get("model_type")
+    if not isinstance(model_type, str) or model_type not in families:
+        known = f"{', '.join(families)}: give the folder of a {what} encoder"
+        raise WeightsError(f"{path}: model_type is {model_type!r}, expected one of {known}")
     for name, value in settings.items():
         numbers = value if isinstance(value, list) else [value]
         most = _MOST_LAYERS if name.endswith("layers") else _LARGEST
@@ -197,13 +178,12 @@ def _configuration(path: Path, family: Family, settings: Mapping[str, Any]) -> A
     with transformers_needed():
         from transformers import CONFIG_MAPPING
     try:
-        config = CONFIG_MAPPING[settings["model_type"]].from_dict(dict(settings))
-        for name, value in _OFF.items():
-            if hasattr(config, name):
-                setattr(config, name, value)
-        return config
+        config: Any = CONFIG_MAPPING[model_type].from_dict(settings)
+        for name in filter(partial(hasattr, config), _OFF):
+            setattr(config, name, _OFF[name])
     except Exception as error:  # transformers' checks of settings raise several classes
-        raise _not_settings(path, family, error) from error
+        raise _not_settings(path, families[model_type], error) from error
+    return model_type, config
 
 
 @contextmanager

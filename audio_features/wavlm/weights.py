@@ -26,6 +26,7 @@ from audio_features.weight_files import (
     read_file,
     read_folder,
     read_json,
+    renamed,
 )
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ HOP = 320
 MICROSOFT_EPS = 1e-5
 """Constant that Microsoft's and torchaudio's code add to the waveform's variance."""
 
+_NO_WAVLM = ": describes no WavLM network: "
 _MOST_LAYERS = 256  # ten times those of Large
 _LAYOUTS = "a Hugging Face folder, Microsoft's WavLM-*.pt with its cfg, or torchaudio's state dict"
 
@@ -83,14 +85,9 @@ class Architecture:
 
         Raises WeightsError, which names `where`, for settings that are not a WavLM network's.
         """
-        for name, usual in (
-            ("hidden_act", "gelu"),
-            ("feat_extract_activation", "gelu"),
-            ("conv_kernel", list(KERNELS)),
-            ("conv_stride", list(STRIDES)),
-        ):
-            if config.get(name, usual) != usual:
-                raise _not_wavlm(where, name, config[name], repr(usual))
+        usual: dict[str, Any] = {"hidden_act": "gelu", "feat_extract_activation": "gelu"}
+        usual |= {"conv_kernel": list(KERNELS), "conv_stride": list(STRIDES)}
+        _check_settings(where, usual | dict(config), usual)
         return cls.from_tensors(
             tensors,
             where,
@@ -109,15 +106,12 @@ class Architecture:
         Microsoft's own loader falls back on defaults that no published model has (a
         max_distance of 1280, no relative positions).
         """
-        expected = {"activation_fn": "gelu", "relative_position_embedding": True}
-        for name, value in (expected | {"gru_rel_pos": True}).items():
-            if cfg.get(name) != value:
-                raise _not_wavlm(where, name, cfg.get(name), repr(value))
-        # Microsoft's loader evaluates it: "[(512,10,5)] + [(512,3,2)] * 4 + [(512,2,2)] * 2".
-        convolutions = str(cfg.get("conv_feature_layers")).replace(" ", "")
-        if re.findall(r"\(\d+,(\d+,\d+)\)", convolutions) != ["10,5", "3,2", "2,2"]:
-            expected_layers = "'[(512,10,5)] + [(512,3,2)] * 4 + …'"
-            raise _not_wavlm(where, "conv_feature_layers", convolutions, expected_layers)
+        # Microsoft's loader evaluates them: "[(512,10,5)] + [(512,3,2)] * 4 + [(512,2,2)] * 2".
+        layers = str(cfg.get("conv_feature_layers")).replace(" ", "")
+        sizes = re.findall(r"\(\d+,(\d+,\d+)\)", layers)
+        usual: dict[str, Any] = {"activation_fn": "gelu", "relative_position_embedding": True}
+        usual |= {"gru_rel_pos": True, "conv_feature_layers": ["10,5", "3,2", "2,2"]}
+        _check_settings(where, {**cfg, "conv_feature_layers": sizes}, usual)
         mode = cfg.get("extractor_mode")
         return cls.from_tensors(
             tensors,
@@ -153,6 +147,7 @@ class Architecture:
         large = f"{convolution}1.layer_norm.weight" in tensors
         depths = [re.match(r"encoder\.layers\.(\d+)\.", name) for name in tensors]
         kernel = shape("encoder.pos_conv_embed.conv.parametrizations.weight.original1", 3)
+        convolutions = [shape(f"{convolution}{i}.conv.weight", 3) for i in range(len(KERNELS))]
         made = cls(
             width=kernel[0],
             layers=1 + max((int(depth[1]) for depth in depths if depth), default=0),
@@ -160,9 +155,7 @@ class Architecture:
             inner=shape(f"{first}feed_forward.intermediate_dense.weight", 2)[0],
             front_norm=("layer" if large else "group") if front_norm is None else front_norm,
             pre_norm=large if pre_norm is None else pre_norm,
-            channels=tuple(
-                shape(f"{convolution}{i}.conv.weight", 3)[0] for i in range(len(KERNELS))
-            ),
+            channels=tuple(sizes[0] for sizes in convolutions),
             conv_bias=f"{convolution}0.conv.bias" in tensors,
             position_kernel=kernel[2],
             position_groups=kernel[0] // kernel[1],
@@ -170,23 +163,20 @@ class Architecture:
             max_distance=max_distance,
             eps=eps,
         )
-        made._check(where)
+        is_distance = isinstance(max_distance, int) and max_distance > made.buckets // 4
+        checks = {
+            "layers": (made.layers <= _MOST_LAYERS, f"at most {_MOST_LAYERS}"),
+            "heads": (made.width % made.heads == 0, f"a divisor of {made.width}"),
+            "position_groups": (made.width % made.position_groups == 0, "a divisor of the width"),
+            "buckets": (made.buckets % 4 == 0, "a multiple of 4"),
+            "max_distance": (is_distance, f"a whole number above {made.buckets // 4}"),
+            "front_norm": (made.front_norm in ("group", "layer"), "'group' or 'layer'"),
+            "pre_norm": (isinstance(made.pre_norm, bool), "true or false"),
+            "eps": (isinstance(eps, float) and 0 < eps < 1, "a number from 0 to 1"),
+        }
+        values = ((name, getattr(made, name), *check) for name, check in checks.items())
+        check_values(WeightsError, f"{where}{_NO_WAVLM}", values)
         return made
-
-    def _check(self, where: str) -> None:
-        is_distance = isinstance(self.max_distance, int) and self.max_distance > self.buckets // 4
-        checks = (
-            ("layers", self.layers <= _MOST_LAYERS, f"at most {_MOST_LAYERS}"),
-            ("heads", self.width % self.heads == 0, f"a divisor of {self.width}"),
-            ("position_groups", self.width % self.position_groups == 0, "a divisor of the width"),
-            ("buckets", self.buckets % 4 == 0, "a multiple of 4"),
-            ("max_distance", is_distance, f"a whole number above {self.buckets // 4}"),
-            ("front_norm", self.front_norm in ("group", "layer"), "'group' or 'layer'"),
-            ("pre_norm", isinstance(self.pre_norm, bool), "true or false"),
-            ("eps", isinstance(self.eps, float) and 0 < self.eps < 1, "a number from 0 to 1"),
-        )
-        values = ((name, getattr(self, name), fits, expected) for name, fits, expected in checks)
-        check_values(WeightsError, f"{where}: describes no WavLM network: ", values)
 
     @property
     def size(self) -> str:
@@ -204,51 +194,46 @@ class Architecture:
         """Return the shape of every tensor of the network by its name in transformers."""
         width, head = self.width, self.width // self.heads
         shapes: dict[str, tuple[int, ...]] = {}
+
+        def add(name: str, *sizes: int, bias: bool = True) -> None:
+            shapes[f"{name}.weight"] = sizes
+            if bias:
+                shapes[f"{name}.bias"] = sizes[:1]
+
         for i, (n_in, n_out) in enumerate(zip((1, *self.channels), self.channels)):
             conv = f"feature_extractor.conv_layers.{i}."
-            shapes[f"{conv}conv.weight"] = (n_out, n_in, KERNELS[i])
-            if self.conv_bias:
-                shapes[f"{conv}conv.bias"] = (n_out,)
+            add(f"{conv}conv", n_out, n_in, KERNELS[i], bias=self.conv_bias)
             if self.front_norm == "layer" or i == 0:
-                shapes |= _norm(f"{conv}layer_norm", n_out)
-        shapes |= _norm("feature_projection.layer_norm", self.channels[-1])
-        shapes |= _linear("feature_projection.projection", self.channels[-1], width)
+                add(f"{conv}layer_norm", n_out)
+        add("feature_projection.layer_norm", self.channels[-1])
+        add("feature_projection.projection", width, self.channels[-1])
         position = "encoder.pos_conv_embed.conv."
+        kernel, inputs = self.position_kernel, width // self.position_groups
         shapes[f"{position}bias"] = (width,)
-        shapes[f"{position}parametrizations.weight.original0"] = (1, 1, self.position_kernel)
-        shapes[f"{position}parametrizations.weight.original1"] = (
-            width,
-            width // self.position_groups,
-            self.position_kernel,
-        )
-        shapes |= _norm("encoder.layer_norm", width)
+        shapes[f"{position}parametrizations.weight.original0"] = (1, 1, kernel)
+        shapes[f"{position}parametrizations.weight.original1"] = (width, inputs, kernel)
+        add("encoder.layer_norm", width)
+        add("encoder.layers.0.attention.rel_attn_embed", self.buckets, self.heads, bias=False)
         for i in range(self.layers):
             layer = f"encoder.layers.{i}."
             for part in ("q_proj", "k_proj", "v_proj", "out_proj"):
-                shapes |= _linear(f"{layer}attention.{part}", width, width)
-            shapes |= _linear(f"{layer}attention.gru_rel_pos_linear", head, 8)
+                add(f"{layer}attention.{part}", width, width)
+            add(f"{layer}attention.gru_rel_pos_linear", 8, head)
             shapes[f"{layer}attention.gru_rel_pos_const"] = (1, self.heads, 1, 1)
-            if i == 0:
-                shapes[f"{layer}attention.rel_attn_embed.weight"] = (self.buckets, self.heads)
-            shapes |= _norm(f"{layer}layer_norm", width)
-            shapes |= _linear(f"{layer}feed_forward.intermediate_dense", width, self.inner)
-            shapes |= _linear(f"{layer}feed_forward.output_dense", self.inner, width)
-            shapes |= _norm(f"{layer}final_layer_norm", width)
+            add(f"{layer}layer_norm", width)
+            add(f"{layer}feed_forward.intermediate_dense", self.inner, width)
+            add(f"{layer}feed_forward.output_dense", width, self.inner)
+            add(f"{layer}final_layer_norm", width)
         return shapes
 
 
-def _linear(name: str, n_in: int, n_out: int) -> dict[str, tuple[int, ...]]:
-    return {f"{name}.weight": (n_out, n_in), f"{name}.bias": (n_out,)}
-
-
-def _norm(name: str, width: int) -> dict[str, tuple[int, ...]]:
-    return {f"{name}.weight": (width,), f"{name}.bias": (width,)}
-
-
-def _not_wavlm(where: str, name: str, value: Any, expected: str) -> WeightsError:
-    return WeightsError(
-        f"{where}: describes no WavLM network: {name} is {str(value)[:80]!r}, expected {expected}"
+def _check_settings(where: str, given: Mapping[str, Any], usual: Mapping[str, Any]) -> None:
+    """Raise WeightsError for the first of the usual settings that is given otherwise."""
+    items = usual.items()
+    values = (
+        (name, given.get(name), given.get(name) == value, repr(value)) for name, value in items
     )
+    check_values(WeightsError, f"{where}{_NO_WAVLM}", values)
 
 
 def read_weights(
@@ -284,28 +269,20 @@ def read_weights(
     if shape.unpublished:
         digest.update(json.dumps(shape.unpublished, sort_keys=True).encode())
     sizes = f"{shape.layers} layers of {shape.width}, {shape.heads} heads"
-    distance = f"relative positions up to {shape.max_distance}"
-    takes = normalization_text(normalize)
+    about = f"WavLM {shape.size}, {layout}: {sizes}, relative positions up to {shape.max_distance}"
+    summary = f"{about}; {normalization_text(normalize)}"
     weights = EncoderWeights(
-        path=str(path),
-        model="wavlm",
-        summary=f"WavLM {shape.size}, {layout}: {sizes}, {distance}; {takes}",
-        layers=shape.layers,
-        width=shape.width,
-        normalize=normalize,
-        fingerprint=digest.hexdigest(),
+        str(path), "wavlm", summary, shape.layers, shape.width, normalize, digest.hexdigest()
     )
     return weights, shape, tensors
 
 
-def _read_file(
-    path: Path,
-) -> tuple[str, Architecture, dict[str, torch.Tensor], float | None]:
+def _read_file(path: Path) -> tuple[str, Architecture, dict[str, torch.Tensor], float | None]:
     """Return layout, architecture, tensors and normalisation of a file in one of two layouts."""
     content = read_file(path)
     names = [str(name) for name in content] if isinstance(content, Mapping) else []
     if {"cfg", "model"} <= set(names) and isinstance(content["cfg"], dict):
-        tensors = _renamed(plain_tensors(path, content["model"]), _MICROSOFT)
+        tensors = renamed(plain_tensors(path, content["model"]), _MICROSOFT)
         shape = Architecture.from_microsoft(content["cfg"], tensors, str(path))
         normalize = MICROSOFT_EPS if content["cfg"].get("normalize", False) else None
         return "Microsoft checkpoint", shape, tensors, normalize
@@ -355,7 +332,7 @@ _TORCHAUDIO = (
 def _from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Rename the state dict of `torchaudio.models.wavlm_*` or of its pipelines."""
     split: dict[str, torch.Tensor] = {}
-    for name, tensor in _renamed(tensors, _TORCHAUDIO).items():
+    for name, tensor in renamed(tensors, _TORCHAUDIO).items():
         stacked = re.fullmatch(r"(.+)\.in_proj_(weight|bias)", name)
         if stacked is None or len(tensor) % 3:
             split[name] = tensor
@@ -364,14 +341,3 @@ def _from_torchaudio(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Ten
             for part, chunk in zip("qkv", tensor.chunk(3)):
                 split[f"{attention}.{part}_proj.{kind}"] = chunk
     return split
-
-
-def _renamed(
-    tensors: Mapping[str, torch.Tensor], table: tuple[tuple[str, str], ...]
-) -> dict[str, torch.Tensor]:
-    renamed = {}
-    for name, tensor in tensors.items():
-        for pattern, replacement in table:
-            name = re.sub(pattern, replacement, name)
-        renamed[name] = tensor
-    return renamed

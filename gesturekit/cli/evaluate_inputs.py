@@ -14,7 +14,7 @@ from gesturekit.cli.render import chosen_controls, control_options
 from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
-    from gesturekit.corpus.item import Item
+    from gesturekit.corpus.manifest import Item
     from gesturekit.evaluation import Items
     from gesturekit.evaluation.results import ModelResult
 

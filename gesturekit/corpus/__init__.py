@@ -5,7 +5,7 @@ from gesturekit.lazy import attach
 __all__, __getattr__, __dir__ = attach(
     __name__,
     {
-        "Item": "item",
+        "Item": "manifest",
         "Manifest": "manifest",
         "Problem": "checks",
         "Report": "report",

@@ -146,10 +146,11 @@ def shift_problems(
         option = f"--shift {usual + taken_back:.2f}"
         text = f"{every}{over}: {option} corrects it, --shift auto for each recording"
         problems.append(Problem("warning", correlations[0][0] if count == 1 else None, text))
-    for file, each in correlations:
-        if each.is_clear and abs(each.shift - usual) >= NOTABLE:
-            problems.append(Problem("warning", file, f"{each}: --shift auto corrects it"))
-    return problems
+    return problems + [
+        Problem("warning", file, f"{each}: --shift auto corrects it")
+        for file, each in correlations
+        if each.is_clear and abs(each.shift - usual) >= NOTABLE
+    ]
 
 
 def corrections(correlations: Sequence[Correlation | None]) -> list[float]:
@@ -190,9 +191,8 @@ def arm_speed(motion: Motion) -> np.ndarray:
     q = motion.rotations[:, joints]
     # |q1 - q0| = 2 sin(angle / 4) for unit quaternions of one hemisphere: exact near zero,
     # where the arc cosine of a dot product loses half of its digits.
-    chord = np.minimum(
-        np.linalg.norm(q[1:] - q[:-1], axis=-1), np.linalg.norm(q[1:] + q[:-1], axis=-1)
-    )
+    step, flipped = q[1:] - q[:-1], q[1:] + q[:-1]
+    chord = np.minimum(np.linalg.norm(step, axis=-1), np.linalg.norm(flipped, axis=-1))
     steps = (4.0 * np.arcsin(chord / 2.0)).sum(axis=1) * motion.fps
     padded = np.concatenate([steps[:1], steps, steps[-1:]])
     return 0.5 * (padded[:-1] + padded[1:])

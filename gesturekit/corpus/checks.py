@@ -56,13 +56,10 @@ def printed(problems: Iterable[Problem]) -> list[str]:
         together = problem.file if problem.severity == "error" else None
         groups.setdefault((problem.severity, problem.message, together), []).append(problem)
     lines = []
-    for members in groups.values():
-        if len(members) == 1:
-            lines.append(str(members[0]))
-            continue
-        severity, message = members[0].severity, members[0].message
+    for (severity, message, _), members in groups.items():
         shown = listed([str(member.file) for member in members], 3)
-        lines.append(f"{severity}: {len(members)} files: {message}: {shown}")
+        several = f"{severity}: {len(members)} files: {message}: {shown}"
+        lines.append(several if len(members) > 1 else str(members[0]))
     return lines
 
 
@@ -91,13 +88,10 @@ def reference_pose(motion: Motion) -> tuple[int, int]:
         (frames at the start, frames at the end); both are all frames if all qualify.
     """
     positions = motion.positions()
-    resting = _in_rest_pose(motion)
-    arms_out = _arms_out(motion.skeleton, positions)
+    resting, arms_out = _in_rest_pose(motion), _arms_out(motion.skeleton, positions)
     positions = positions / body_scale(motion.skeleton)
-    return (
-        _leading(positions, resting, arms_out),
-        _leading(positions[::-1], resting[::-1], arms_out[::-1]),
-    )
+    start = _leading(positions, resting, arms_out)
+    return start, _leading(positions[::-1], resting[::-1], arms_out[::-1])
 
 
 def first_difference(skeleton: Skeleton, usual: Skeleton) -> str | None:

@@ -8,6 +8,7 @@ import unicodedata
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import count, product
 from pathlib import Path
 
 from gesturekit.corpus.checks import Problem
@@ -129,9 +130,8 @@ def pair(scans: Sequence[Iterable[MediaFile]]) -> Pairing:
     result.pairs.sort()
     result.speech = sorted(file for file in left if file.is_speech)
     result.motion = sorted(file for file in left if not file.is_speech)
-    if len(result.speech) * len(result.motion) <= _MOST_COMPARED and (
-        near := list(_near_names(result))
-    ):
+    few = len(result.speech) * len(result.motion) <= _MOST_COMPARED
+    if few and (near := list(_near_names(result))):
         text = f"not paired, but of near names: {listed(near, 4)}; rename one of each"
         result.problems.append(Problem("warning", None, text))
     return result
@@ -139,27 +139,22 @@ def pair(scans: Sequence[Iterable[MediaFile]]) -> Pairing:
 
 def recording_ids(files: Sequence[MediaFile]) -> list[str]:
     """Return a unique id for each file: its key, prefixed by the folder's name if keys repeat."""
-    counts = Counter(file.key for file in files)
-    ids: dict[str, None] = {}
+    counts, ids = Counter(file.key for file in files), dict[str, None]()
     for file in files:
-        is_unique = counts[file.key] == 1
-        name = file.key if is_unique else f"{file.folder.resolve().name or 'root'}/{file.key}"
-        unused, n = name, 1
-        while unused in ids:
-            n += 1
-            unused = f"{name}_{n}"
-        ids[unused] = None
+        name = file.key
+        if counts[name] > 1:
+            name = f"{file.folder.resolve().name or 'root'}/{name}"
+        numbered = (f"{name}_{n}" for n in count(2))
+        ids[name if name not in ids else next(n for n in numbered if n not in ids)] = None
     return list(ids)
 
 
 def _near_names(result: Pairing) -> Iterator[str]:
     """Yield unpaired sound and motion of which one name has all words of the other, and more."""
-    moves = [(motion, set(_loose(motion.stem).split())) for motion in result.motion]
-    for sound in result.speech:
-        words = set(_loose(sound.stem).split())
-        for motion, others in moves:
-            if words <= others or others <= words:
-                yield f"{sound.path.name} and {motion.path.name}"
+    words = {f: set(_loose(f.stem).split()) for f in [*result.speech, *result.motion]}
+    for sound, motion in product(result.speech, result.motion):
+        if words[sound] <= words[motion] or words[motion] <= words[sound]:
+            yield f"{sound.path.name} and {motion.path.name}"
 
 
 def _loose_key(file: MediaFile) -> str:
@@ -187,11 +182,9 @@ def _match(
     for name, group in groups.items():
         speech = [file for file in group if file.is_speech]
         motion = [file for file in group if not file.is_speech]
-        if not speech or not motion:
-            left += group
-        elif len(speech) == len(motion) == 1:
+        if len(speech) == len(motion) == 1:
             result.pairs.append((speech[0], motion[0]))
-        elif not ambiguous_is_error:
+        elif not (speech and motion and ambiguous_is_error):
             left += group
         else:
             fitting = f"{len(speech)} speech and {len(motion)} motion files fit it"

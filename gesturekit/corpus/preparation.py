@@ -17,14 +17,13 @@ from audio_features.errors import check_values
 from gesturekit.corpus import checks, splits
 from gesturekit.corpus.alignment import corrections, shift_problems
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import READING, Item
 from gesturekit.corpus.layouts import read_layout
 from gesturekit.corpus.layouts.listing import Listing
-from gesturekit.corpus.manifest import Manifest, absolute
+from gesturekit.corpus.manifest import READING, Item, Manifest, absolute
 from gesturekit.corpus.pairing import MediaFile, pair, recording_ids, scan, unread
 from gesturekit.corpus.recording import Recording, examine, examine_each
 from gesturekit.corpus.report import Report
-from gesturekit.corpus.takes import name_takes, neighbours, take_in
+from gesturekit.corpus.takes import compiled, name_takes, neighbours
 from gesturekit.errors import CorpusError, MotionError, gesturekit_errors
 from gesturekit.field_docs import build_options
 from gesturekit.formats.registry import MOTION_SUFFIXES
@@ -116,7 +115,7 @@ class PrepareOptions:
             raise CorpusError("give either seconds or names of recordings to hold out, not both")
         splits.as_intervals(self.hold_out_seconds)
         if self.take_pattern is not None:
-            take_in("", self.take_pattern)  # a wrong one is an error before files are read
+            compiled("take pattern", self.take_pattern)  # an error before files are read
         if self.take_table is not None and not Path(self.take_table).is_file():
             raise CorpusError(f"table of takes {self.take_table}: no such file")
         is_number = isinstance(self.shift, int | float) and math.isfinite(self.shift)
@@ -136,11 +135,7 @@ class PrepareOptions:
 
 
 @gesturekit_errors()
-def prepare(
-    folders: Folders,
-    out: str | os.PathLike[str] | None = None,
-    **options: Any,
-) -> Report:
+def prepare(folders: Folders, out: str | os.PathLike[str] | None = None, **options: Any) -> Report:
     """Find, check and split recordings, and write the manifest if any are usable.
 
     Sound and motion of a pair begin together, up to `shift`; if their energy and arm speed show
@@ -181,10 +176,9 @@ def prepare(
     left_out = {problem.file for problem in odd}
     problems += examined + unlabelled
     problems = [p for p in problems if p.file not in left_out or p.severity == "error"]
-    problems += odd + _corpus_notes(recordings) + _other_rates(recordings, listing)
+    problems += odd + _corpus_notes(recordings, listing)
     recordings, items, cut = _split(recordings, chosen, listing.copies if listing else "")
-    problems += cut
-    report = Report(Manifest(items), tuple(recordings), tuple(problems), tuple(left_over))
+    report = Report(Manifest(items), tuple(recordings), (*problems, *cut), tuple(left_over))
     if out is not None and items:
         report.manifest.save(out)
     return report
@@ -194,19 +188,14 @@ def _split(
     recordings: list[Recording], options: PrepareOptions, copies: str
 ) -> tuple[list[Recording], list[Item], list[Problem]]:
     """Return the recordings with their takes, the items made of them, and problems."""
-    recordings, problems = name_takes(recordings, options.take_pattern, options.take_table)
-    recordings = splits.hold_out(
-        recordings,
-        options.hold_out_pattern,
-        options.hold_out_list,
-        _names(options.hold_out_speakers),
-        copies,
-    )
+    named, problems = name_takes(recordings, options.take_pattern, options.take_table)
+    speakers = _names(options.hold_out_speakers)
+    pattern, file = options.hold_out_pattern, options.hold_out_list
+    named = splits.hold_out(named, pattern, file, speakers, copies)
     intervals = splits.as_intervals(options.hold_out_seconds)
-    items, cut = splits.split_items(recordings, options.holdout, intervals, options.seed)
+    items, cut = splits.split_items(named, options.holdout, intervals, options.seed)
     beside = neighbours(items)
-    notes = [Problem("note", None, beside)] if beside else []
-    return recordings, items, problems + cut + notes
+    return named, items, problems + cut + ([Problem("note", None, beside)] if beside else [])
 
 
 def _in_time(
@@ -241,22 +230,16 @@ def _examined(
     if unknown := sorted(trim - set(known)):
         hint = did_you_mean(unknown[0], known, "; did you mean {}?")
         raise CorpusError(f"trim: no recording {unknown[0]!r}{hint}")
-    tasks = [_with_options(recording, options) for recording in recordings]
+    tasks = []
+    for recording in recordings:
+        reading = applicable_read_options(recording.motion, read) if recording.motion else {}
+        if options.parts and "height" in reading:  # the height depends on the parts
+            reading["parts"] = dict(options.parts)
+        tasks.append(replace(recording, channel=options.channel, reading=reading))
     check = partial(examine, tolerance=options.tolerance, parts=options.parts, trim=trim)
     results = examine_each(tasks, check, options.workers, options.progress)
     problems = [problem for _, of_one in results for problem in of_one]
     return [recording for recording, _ in results if recording is not None], problems
-
-
-def _with_options(recording: Recording, options: PrepareOptions) -> Recording:
-    """Return the recording with the channel and the options for reading its motion."""
-    recording = replace(recording, channel=options.channel)
-    if recording.motion is None:
-        return recording
-    reading = applicable_read_options(recording.motion, options.read or {})
-    if options.parts and "height" in reading:  # the height depends on the parts
-        reading["parts"] = dict(options.parts)
-    return replace(recording, reading=reading)
 
 
 def _names(given: str | Sequence[str]) -> list[str]:
@@ -275,17 +258,6 @@ def _published(options: PrepareOptions, folders: list[Any]) -> Listing | None:
     if options.speaker:
         listing.recordings = [replace(r, speaker=options.speaker) for r in listing.recordings]
     return listing
-
-
-def _other_rates(recordings: list[Recording], listing: Listing | None) -> list[Problem]:
-    """Note recordings that have another frame rate than the published ones."""
-    if listing is None:
-        return []
-    return [
-        Problem("note", r.motion, f"{r.fps:.6g} fps; published at {listing.fps:g} fps")
-        for r in recordings
-        if r.fps is not None and abs(r.fps - listing.fps) > 0.01 * listing.fps
-    ]
 
 
 def _several(folders: Folders) -> list[str | os.PathLike[str]]:
@@ -319,23 +291,18 @@ def _find(
     problems += pairing.problems
     # A folder may be given both ways: its files left after pairing are then used alone.
     seen -= {absolute(file.path) for file in [*pairing.speech, *pairing.motion]}
-    files = [file for folder in unpaired for file in files_in(folder)]
-    speech = unseen(file for file in files if file.is_speech)
-    files = [file for folder in unpaired_motion for file in files_in(folder)]
-    motion = unseen(file for file in files if not file.is_speech)
-
-    named = [speech_file for speech_file, _ in pairing.pairs] + speech + motion
-    ids = iter(recording_ids(named))
+    speech = unseen(f for folder in unpaired for f in files_in(folder) if f.is_speech)
+    motion = unseen(f for folder in unpaired_motion for f in files_in(folder) if not f.is_speech)
+    ids = iter(recording_ids([*(sound for sound, _ in pairing.pairs), *speech, *motion]))
     recordings = [
-        Recording(next(ids), audio=sound.path, motion=moves.path, speaker=options.speaker)
+        Recording(next(ids), sound.path, moves.path, speaker=options.speaker)
         for sound, moves in pairing.pairs
     ]
     recordings += [Recording(next(ids), audio=file.path) for file in speech]
     recordings += [Recording(next(ids), motion=file.path) for file in motion]
     used = {absolute(file.path) for file in [*speech, *motion]}
-    left_over = [
-        file.path for file in [*pairing.speech, *pairing.motion] if absolute(file.path) not in used
-    ]
+    alone = [file.path for file in [*pairing.speech, *pairing.motion]]
+    left_over = [path for path in alone if absolute(path) not in used]
     every = [*folders, *unpaired, *unpaired_motion]
     sounds = {recording.audio.with_suffix("") for recording in recordings if recording.audio}
     motions = {recording.motion.with_suffix("") for recording in recordings if recording.motion}
@@ -357,30 +324,23 @@ def _style_pattern(pattern: str | None) -> re.Pattern[str] | None:
     """
     if pattern is None:
         return None
-    try:
-        compiled = re.compile(pattern)
-    except re.error as error:
-        raise CorpusError(f"style pattern {pattern}: not a regular expression: {error}") from error
-    if not {"style", "speaker"} & set(compiled.groupindex):
+    expression = compiled("style pattern", pattern)
+    if not {"style", "speaker"} & set(expression.groupindex):
         raise CorpusError(f"style pattern {pattern}: no group style or speaker: (?P<style>…)")
-    return compiled
+    return expression
 
 
 def _labelled(
-    recordings: list[Recording], style: str | None, pattern: re.Pattern[str] | None
+    recordings: list[Recording], style_of_all: str | None, pattern: re.Pattern[str] | None
 ) -> tuple[list[Recording], list[Problem]]:
     """Return the recordings with styles and speakers, by the pattern where it matches."""
     labelled, problems = [], []
     for recording in recordings:
         match = pattern.search(recording.id) if pattern else None
         groups = match.groupdict() if match else {}
-        labelled.append(
-            replace(
-                recording,
-                style=groups.get("style") or style or recording.style,
-                speaker=groups.get("speaker") or recording.speaker,
-            )
-        )
+        style = groups.get("style") or style_of_all or recording.style
+        speaker = groups.get("speaker") or recording.speaker
+        labelled.append(replace(recording, style=style, speaker=speaker))
         if pattern and not match:
             text = f"name does not match style pattern {pattern.pattern}"
             problems.append(Problem("note", recording.file, text))
@@ -391,18 +351,14 @@ def _labelled(
     return labelled, problems
 
 
-def _of_one_skeleton(
-    recordings: list[Recording],
-) -> tuple[list[Recording], list[Problem]]:
+def _of_one_skeleton(recordings: list[Recording]) -> tuple[list[Recording], list[Problem]]:
     """Drop recordings whose joints differ from those of most others."""
     skeletons = [recording.skeleton for recording in recordings if recording.skeleton is not None]
-    if not skeletons:
-        return recordings, []
-    usual = checks.usual_skeleton(skeletons)
+    usual = checks.usual_skeleton(skeletons) if skeletons else None
     kept, problems = [], []
     for recording in recordings:
-        difference = recording.skeleton and checks.first_difference(recording.skeleton, usual)
-        if difference:
+        rig = recording.skeleton
+        if rig and usual and (difference := checks.first_difference(rig, usual)):
             text = f"another skeleton than most: {difference}; prepare each rig on its own"
             problems.append(Problem("error", recording.motion, text))
         else:
@@ -410,16 +366,22 @@ def _of_one_skeleton(
     return kept, problems
 
 
-def _corpus_notes(recordings: list[Recording]) -> list[Problem]:
-    """Return problems of the corpus as a whole."""
+def _corpus_notes(recordings: list[Recording], listing: Listing | None) -> list[Problem]:
+    """Return problems of the corpus as a whole, and other frame rates than the published one."""
     notes = _missing_parts(recordings) + _differing_sizes(recordings)
-    by_fps = Counter(f"{r.fps:.6g}" for r in recordings if r.fps is not None)
-    if len(by_fps) < 2:
-        return notes
-    by_rate = sorted(by_fps.items(), key=lambda entry: float(entry[0]))
-    rates = ", ".join(f"{fps} ({count})" for fps, count in by_rate)
-    text = f"frame rates differ: {rates}; training resamples them to one"
-    return [*notes, Problem("note", None, text)]
+    moving = [(r.fps, r.motion) for r in recordings if r.fps is not None]
+    by_fps = Counter(f"{fps:.6g}" for fps, _ in moving)
+    if len(by_fps) > 1:
+        by_rate = sorted(by_fps.items(), key=lambda entry: float(entry[0]))
+        rates = ", ".join(f"{fps} ({count})" for fps, count in by_rate)
+        text = f"frame rates differ: {rates}; training resamples them to one"
+        notes.append(Problem("note", None, text))
+    usual = listing.fps if listing else math.nan
+    return notes + [
+        Problem("note", motion, f"{fps:.6g} fps; published at {usual:g} fps")
+        for fps, motion in moving
+        if abs(fps - usual) > 0.01 * usual
+    ]
 
 
 def _missing_parts(recordings: list[Recording]) -> list[Problem]:
@@ -427,34 +389,29 @@ def _missing_parts(recordings: list[Recording]) -> list[Problem]:
     first = next((r for r in recordings if r.skeleton is not None), None)
     if first is None or first.skeleton is None:
         return []
+    text = "the rig has no legs: foot contacts, foot locking and foot metrics are left out"
     try:
-        parts = find_parts(first.skeleton)
+        if find_parts(first.skeleton).legs:
+            return []
     except MotionError as error:
-        what = "training leaves out what needs these parts"
+        text = f"{error}. Without them training leaves out what needs these parts"
         if any(recording.audio and recording.motion for recording in recordings):
-            what += ", and in multires speech moves all joints"
-        return [Problem("note", first.motion, f"{error}. Without them {what}")]
-    if not parts.legs:
-        text = "the rig has no legs: foot contacts, foot locking and foot metrics are left out"
-        return [Problem("note", first.motion, text)]
-    return []
+            text += ", and in multires speech moves all joints"
+    return [Problem("note", first.motion, text)]
 
 
 def _differing_sizes(recordings: list[Recording]) -> list[Problem]:
     """Warn if bodies differ so much in height that the unit of a file is probably wrong."""
     heights = {r.file: r.height for r in recordings if r.height is not None}
-    if not heights or max(heights.values()) <= MAX_SIZE_RATIO * min(heights.values()):
+    ends = min(heights.values(), default=1.0), max(heights.values(), default=1.0)
+    ratio = ends[1] / ends[0]
+    if ratio <= MAX_SIZE_RATIO:
         return []
     usual = statistics.median_low(heights.values())
-    odd = [
-        f"{file} ({height:.3g} m)"
-        for file, height in heights.items()
-        if max(height / usual, usual / height) > MAX_SIZE_RATIO
-    ]
-    if not odd:
-        ends = min(heights, key=heights.__getitem__), max(heights, key=heights.__getitem__)
-        odd = [f"{file} ({heights[file]:.3g} m)" for file in ends]
-    ratio = max(heights.values()) / min(heights.values())
+    far = {file: max(h / usual, usual / h) > MAX_SIZE_RATIO for file, h in heights.items()}
+    odd = [file for file in heights if far[file]]
+    odd = odd or [min(heights, key=heights.__getitem__), max(heights, key=heights.__getitem__)]
+    shown = listed([f"{file} ({heights[file]:.3g} m)" for file in odd], 3)
     differ = f"body heights differ by a factor of {ratio:.3g}; the usual is {usual:.3g} m"
     how = "is a unit wrong? prepare these files on their own with --in-unit, or all with --height"
-    return [Problem("warning", None, f"{differ}, but not of {listed(odd, 3)}; {how}")]
+    return [Problem("warning", None, f"{differ}, but not of {shown}; {how}")]

@@ -16,7 +16,7 @@ from audio_features.words import words_beside
 from gesturekit.corpus import checks
 from gesturekit.corpus.alignment import Correlation, correlate
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import CONDITIONS, muted
+from gesturekit.corpus.manifest import CONDITIONS, muted
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.formats.conventions import plausibility_warnings
 from gesturekit.formats.sources import load_with_warnings
@@ -136,8 +136,8 @@ def examine(
             sounds = (wave.duration, wave.duration - recording.audio_offset)
             sound = min(sounds, key=lambda seconds: abs(seconds - motion.duration))
             most = math.inf if recording.id in trim else tolerance
-            _check_lengths(sound, motion, recording, most, problems)
-            if any(problem.severity == "error" for problem in problems):
+            problems += (apart := _length_problems(sound, motion, recording, most))
+            if any(problem.severity == "error" for problem in apart):
                 return None, problems
         stop = min(stop, motion.duration)
     if motion is not None and stop >= MIN_DURATION:
@@ -145,14 +145,13 @@ def examine(
         start, stop = first / motion.fps, min(stop, end / motion.fps)
     start, stop = _limited(recording, start, stop)
     if stop - start < MIN_DURATION:
-        length = (
-            f"{max(stop - start, 0.0):.2f} s can be used; at least {MIN_DURATION:g} s are needed"
-        )
-        return None, [*problems, Problem("error", recording.file, f"too short: {length}")]
+        usable = f"{max(stop - start, 0.0):.2f} s can be used"
+        text = f"too short: {usable}; at least {MIN_DURATION:g} s are needed"
+        return None, [*problems, Problem("error", recording.file, text)]
+    correlation = None
     if wave is not None and motion is not None:
         correlation = _correlation(recording, wave, motion, (start, stop))
-        recording = replace(recording, correlation=correlation)
-    return replace(recording, start=start, stop=stop), problems
+    return replace(recording, start=start, stop=stop, correlation=correlation), problems
 
 
 def _correlation(
@@ -188,10 +187,8 @@ def _loaded(
     if recording.motion is not None:
         try:
             motion, warnings = load_with_warnings(recording.motion, recording.reading, parts)
-            prefix = f"{recording.motion}: "
-            problems += [
-                Problem("warning", recording.motion, text.removeprefix(prefix)) for text in warnings
-            ]
+            texts = [text.removeprefix(f"{recording.motion}: ") for text in warnings]
+            problems += [Problem("warning", recording.motion, text) for text in texts]
         except GestureKitError as error:
             problems.append(Problem("error", recording.motion, str(error)))
     return wave, motion
@@ -207,10 +204,8 @@ def _conditions(recording: Recording, problems: list[Problem]) -> dict[str, Path
     for file in reversed(files):
         if "words" not in conditions and (words := words_beside(file)):
             conditions["words"] = words
-    for name in CONDITIONS:
-        tables = [file.with_suffix(f".{name}.csv") for file in files]
-        if table := next((table for table in tables if table.exists()), None):
-            conditions[name] = table
+        beside = {name: file.with_suffix(f".{name}.csv") for name in CONDITIONS}
+        conditions |= {name: table for name, table in beside.items() if table.exists()}
     for name, table in list(conditions.items()):
         read, severity = _TABLES.get(name, (None, ""))
         try:
@@ -231,18 +226,18 @@ _TABLES: dict[str, tuple[Callable[[Path], Any], str]] = {
 """Readers of side files, and the severity of a problem with them."""
 
 
-def _check_lengths(
-    sound: float, motion: Motion, recording: Recording, tolerance: float, problems: list[Problem]
-) -> None:
+def _length_problems(
+    sound: float, motion: Motion, recording: Recording, tolerance: float
+) -> list[Problem]:
+    """Return the problem of a sound of so many seconds that lasts longer or shorter."""
     apart = abs(sound - motion.duration)
     lengths = f"{sound:.2f} s of sound and {motion.duration:.2f} s of motion"
     if apart > tolerance:
         differ = f"{lengths} differ by {apart:.2f} s, more than {tolerance:g} s"
         text = f"{differ}: cut both alike, or use what they share with --trim {recording.id}"
-        problems.append(Problem("error", recording.motion, text))
-    elif apart > 1.0 / motion.fps:
-        text = f"{lengths}: trimmed to the shorter"
-        problems.append(Problem("warning", recording.motion, text))
+        return [Problem("error", recording.motion, text)]
+    text = f"{lengths}: trimmed to the shorter"
+    return [Problem("warning", recording.motion, text)] if apart > 1.0 / motion.fps else []
 
 
 def _check_motion(motion: Motion, file: Path, problems: list[Problem]) -> tuple[int, int]:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gesturekit.corpus.alignment import pooled
 from gesturekit.corpus.checks import Problem, printed
-from gesturekit.corpus.item import SPLITS, Item
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import SPLITS, Item, Manifest
 from gesturekit.formats.sources import SPEECH_SUFFIXES, unreadable_media
 from gesturekit.wording import counted, listed
 
@@ -50,36 +49,39 @@ class Report:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the contents of the corpus as (label, text) pairs."""
-        manifest = self.manifest
-        rows = [
-            ("paired", _by_split(manifest.paired())),
-            ("speech alone", _by_split(manifest.unpaired())),
-            ("motion alone", _by_split(manifest.motion_alone())),
-            ("takes", self._takes()),
-            ("frame rates", counts(f"{r.fps:.6g} fps" for r in self._moving)),
-            ("body heights", self._heights()),
-            ("body shapes", self._shapes()),
-            ("joints", counts(str(r.skeleton.n_joints) for r in self._moving if r.skeleton)),
-            ("sample rates", counts(f"{r.sample_rate} Hz" for r in self.recordings if r.audio)),
-            ("speakers", _labels([r.speaker for r in self.recordings])),
-            ("styles", _labels([r.style for r in self.recordings])),
-            ("side files", self._side_files()),
-            ("shift", self._shift()),
-            ("left out", self._left_out()),
-        ]
-        return [(name, value) for name, value in rows if value]
-
-    def _takes(self) -> str:
-        """Return the number of takes if some recordings are of one take."""
-        count = len({recording.take for recording in self.recordings})
-        return str(count) if count < len(self.recordings) else ""
-
-    def _left_out(self) -> str:
-        """Return the numbers of recordings with errors and of unused files, or ""."""
+        manifest, recordings = self.manifest, self.recordings
+        moving = [r for r in recordings if r.fps is not None]
+        skeletons = [r.skeleton for r in moving if r.skeleton]
+        heights = sorted(r.height for r in recordings if r.height is not None)
+        ends = dict.fromkeys(f"{height:.3g}" for height in [*heights[:1], *heights[-1:]])
+        takes, shapes = ({r.take for r in recordings}, {s.body_shape for s in skeletons})
+        unnamed = any(r.speaker is None for r in moving)
+        who = " (recordings without a speaker count as one person's)" if unnamed else ""
+        mean = f"{len(shapes)}; training uses the mean of each speaker's{who}"
+        sides = [side for r in recordings for side in r.conditions.items()]
+        shift = pooled([r.correlation for r in recordings if r.correlation is not None])
         errors = {p.file or p.message for p in self.problems if p.severity == "error"}
-        broken = [f"{counted(len(errors), 'recording')} with errors"] if errors else []
-        alone = [f"{counted(len(self.left_over), 'file')} not used"] if self.left_over else []
-        return ", ".join(broken + alone)
+        left_out = [f"{counted(len(errors), 'recording')} with errors"] if errors else []
+        left_out += [f"{counted(len(self.left_over), 'file')} not used"] if self.left_over else []
+        rows = {
+            "paired": _by_split(manifest.paired()),
+            "speech alone": _by_split(manifest.unpaired()),
+            "motion alone": _by_split(manifest.motion_alone()),
+            "takes": str(len(takes)) if len(takes) < len(recordings) else "",
+            "frame rates": counts(f"{r.fps:.6g} fps" for r in moving),
+            "body heights": f"{' to '.join(ends)} m" if ends else "",
+            "body shapes": mean if len(shapes) > 1 else "",
+            "joints": counts(str(skeleton.n_joints) for skeleton in skeletons),
+            "sample rates": counts(f"{r.sample_rate} Hz" for r in recordings if r.audio),
+            "speakers": _labels([r.speaker for r in recordings]),
+            "styles": _labels([r.style for r in recordings]),
+            "side files": counts(f"{name} from {file.suffix}" for name, file in sides),
+            "shift": "",
+            "left out": ", ".join(left_out),
+        }
+        if shift is not None and shift.is_clear:
+            rows["shift"] = f"{shift}" if shift.is_notable else f"in time: {shift}"
+        return [(name, value) for name, value in rows.items() if value]
 
     def problem_lines(self) -> list[str]:
         """Return all problems with their files, then the unused files by folder."""
@@ -97,35 +99,6 @@ class Report:
             lines.append(f"left out: {other if unreadable_media(paths[0]) else usable}")
         return lines
 
-    def _side_files(self) -> str:
-        """Return the kinds of tables beside the recordings: "words from .TextGrid (3)"."""
-        beside = (table for recording in self.recordings for table in recording.conditions.items())
-        return counts(f"{name} from {file.suffix}" for name, file in beside)
-
-    def _heights(self) -> str:
-        heights = sorted(r.height for r in self.recordings if r.height is not None)
-        ends = dict.fromkeys(f"{height:.3g}" for height in [*heights[:1], *heights[-1:]])
-        return f"{' to '.join(ends)} m" if ends else ""
-
-    def _shapes(self) -> str:
-        """Return the number of body shapes if there are several, and what training does."""
-        count = len({r.skeleton.body_shape for r in self._moving if r.skeleton})
-        unnamed = any(recording.speaker is None for recording in self._moving)
-        who = " (recordings without a speaker count as one person's)" if unnamed else ""
-        return f"{count}; training uses the mean of each speaker's{who}" if count > 1 else ""
-
-    def _shift(self) -> str:
-        """Return the shift between sound and motion, or "" if they say nothing."""
-        each = [r.correlation for r in self.recordings if r.correlation is not None]
-        every = pooled(each)
-        if every is None or not every.is_clear:
-            return ""
-        return f"{every}" if every.is_notable else f"in time: {every}"
-
-    @property
-    def _moving(self) -> list[Recording]:
-        return [recording for recording in self.recordings if recording.fps is not None]
-
 
 def amount(items: Collection[Item]) -> str:
     """Return "3 recordings", or "1 recording in 2 parts" if items share one."""
@@ -135,18 +108,13 @@ def amount(items: Collection[Item]) -> str:
 
 
 def _by_split(items: Collection[Item]) -> str:
-    by_split: dict[str, list[float]] = defaultdict(list)
+    seconds: dict[str, float] = defaultdict(float)
     for item in items:
-        by_split[item.split].append(item.duration)
-    if not by_split:
-        return ""
-    every = [duration for durations in by_split.values() for duration in durations]
-    parts = ", ".join(
-        f"{split} {len(by_split[split])} ({_length(sum(by_split[split]))})"
-        for split in SPLITS
-        if split in by_split
-    )
-    return f"{amount(items)}, {_length(sum(every))}: {parts}"
+        seconds[item.split] += item.duration
+    numbers = Counter(item.split for item in items)
+    lengths = [f"{s} {numbers[s]} ({_length(seconds[s])})" for s in SPLITS if s in numbers]
+    every = _length(sum(item.duration for item in items))
+    return f"{amount(items)}, {every}: {', '.join(lengths)}" if items else ""
 
 
 def _length(seconds: float) -> str:
@@ -160,8 +128,6 @@ def _labels(values: Collection[str | None]) -> str:
 
 def counts(values: Iterable[Any]) -> str:
     """Return different values with their numbers, the most frequent first."""
-    most_first = sorted(
-        Counter(value for value in values if value is not None).items(),
-        key=lambda entry: (-entry[1], entry[0]),
-    )
+    numbers = Counter(value for value in values if value is not None)
+    most_first = sorted(numbers.items(), key=lambda entry: (-entry[1], entry[0]))
     return listed([f"{value} ({count})" for value, count in most_first], 12)

@@ -56,9 +56,7 @@ _SPAN = re.compile(r"(?P<name>.+)@(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)")
 _FRAMES_AT_ONCE = 4096  # normalised, so that an hour of wide features is in memory once
 
 
-@cache
-def _libraries() -> ThreadpoolController:
-    return ThreadpoolController()
+_libraries = cache(ThreadpoolController)
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
@@ -119,35 +117,27 @@ class SpeechConditioner:
             align: see `FeatureTrack.to_rate`.
             normalisation: one of `Normalisation`.
         """
-        about = (extractor, fps, align)
+        about, dim = (extractor, fps, align), extractor.dim
         if normalisation == "none":
-            nothing = np.zeros(extractor.dim), np.ones(extractor.dim)
-            return cls(*about, *nothing, normalisation)
+            return cls(*about, np.zeros(dim), np.ones(dim), normalisation)
         if normalisation == "corpus":
             values = np.concatenate([values for values, _ in clips]).astype(np.float64)
             spread = np.maximum(values.std(axis=0), 1e-3)
             return cls(*about, values.mean(axis=0), spread, normalisation)
-        centres, spreads, frames = [], [], []
-        for values, active in clips:
-            if active.any():
-                spoken = values[active].astype(np.float64)
-                centres.append(spoken.mean(axis=0))
-                spreads.append(spoken.var(axis=0) * len(spoken))
-                frames.append(len(spoken))
-        if not centres:
-            return cls(*about, np.zeros(extractor.dim), np.ones(extractor.dim))
-        centre = np.mean(centres, axis=0)
+        each = (values[active].astype(np.float64) for values, active in clips)
+        moments = [(s.mean(axis=0), s.var(axis=0) * len(s), len(s)) for s in each if len(s)]
+        if not moments:
+            return cls(*about, np.zeros(dim), np.ones(dim))
+        centres, spreads, frames = zip(*moments, strict=True)
         within = np.sum(spreads, axis=0) / np.sum(frames)
         between = np.where(extractor.centred, 0.0, np.var(centres, axis=0))
         scale = np.maximum(np.sqrt(within + between), 1e-3)
-        return cls(*about, centre, scale)
+        return cls(*about, np.mean(centres, axis=0), scale)
 
     @property
     def dim(self) -> int:
         """S, the number of features."""
-        if self.components is None:
-            return self.extractor.dim
-        wide, count = self.components.shape
+        wide, count = (0, 0) if self.components is None else self.components.shape
         return self.extractor.dim - wide + count
 
     @property
@@ -254,9 +244,8 @@ class SpeechConditioner:
         Returns:
             (T, S) float32.
         """
-        return self.scaled(
-            values, self.clip_centre(values[active].sum(axis=0, dtype=np.float64), active.sum())
-        )
+        total = values[active].sum(axis=0, dtype=np.float64)
+        return self.scaled(values, self.clip_centre(total, active.sum()))
 
     def clip_centre(self, total: ArrayLike, count: float) -> np.ndarray:
         """Return the centre (D,) of a clip.
@@ -278,22 +267,18 @@ class SpeechConditioner:
         for start in range(0, len(values), _FRAMES_AT_ONCE):
             frames = slice(start, start + _FRAMES_AT_ONCE)
             columns = np.clip((values[frames] - centre) / self.scale, -limit, limit)
-            normalised[frames] = self._reduced(columns)
+            if self.components is not None:
+                wide = wide_columns(self.extractor, self.components.shape[1])
+                with one_blas_thread():
+                    parts = [columns[:, ~wide], columns[:, wide] @ self.components]
+                columns = np.concatenate(parts, axis=1)
+            normalised[frames] = columns
         return normalised
-
-    def _reduced(self, columns: np.ndarray) -> np.ndarray:
-        """Return (T, S) from the normalised columns (T, D) of the extractor."""
-        if self.components is None:
-            return columns
-        wide = wide_columns(self.extractor, self.components.shape[1])
-        with one_blas_thread():
-            return np.concatenate([columns[:, ~wide], columns[:, wide] @ self.components], axis=1)
 
     def silence(self, n_frames: int) -> np.ndarray:
         """Return the normalised features of silence, (T, S) float32."""
-        rate = 16000
-        seconds = max(1.0, n_frames / self.fps)
-        nothing = af.Wave(np.zeros(int(np.ceil(seconds * rate)), np.float32), rate, None)
+        rate, seconds = 16000, max(1.0, n_frames / self.fps)
+        nothing = af.Wave(np.zeros(int(np.ceil(seconds * rate)), np.float32), rate)
         with one_blas_thread():
             values, active = extract(nothing, self.extractor, self.fps, self.align, n_frames)
         # Features from files are unknown for silence: the mean of training stands for them.
@@ -305,9 +290,8 @@ class SpeechConditioner:
 
 def detects_voice(extractor: Any, vad: bool | None) -> bool:
     """Return `vad`, or if it is None, True unless the features are those of music (`af.Music`)."""
-    if vad is None:
-        return not any(isinstance(part, af.Music) for part in parts_of(extractor))
-    return vad
+    is_music = any(isinstance(part, af.Music) for part in parts_of(extractor))
+    return not is_music if vad is None else vad
 
 
 def parts_of(extractor: Any) -> tuple[Any, ...]:
@@ -341,7 +325,7 @@ def extract(
     n_frames = wave.n_frames(fps) if n_frames is None else n_frames
     track = af.cache_from_environment().extract(extractor, wave.at_level() if level else wave)
     values = track.to_rate(fps, n_frames=n_frames, method=align).values
-    activity = wave.active(hop=_ACTIVITY_HOP)
+    activity = wave.active()
     nearest = np.round(np.arange(n_frames) / fps / _ACTIVITY_HOP).astype(int)
     return values, activity[np.minimum(nearest, len(activity) - 1)]
 
@@ -361,16 +345,18 @@ def as_speech(speech: Any, sample_rate: int | None) -> str | Path | af.Wave | No
     is_pair = isinstance(speech, tuple) and len(speech) == 2 and np.ndim(speech[1]) == 0
     if is_pair and np.ndim(speech[0]) > 0 and sample_rate is None:
         speech, sample_rate = speech
-    sounds = (str, os.PathLike, af.Wave, np.ndarray)
-    if isinstance(speech, list | tuple) and any(isinstance(each, sounds) for each in speech):
+    files, problem = (str, os.PathLike, af.Wave), ""
+    kinds = (*files, np.ndarray)
+    if isinstance(speech, list | tuple) and any(isinstance(each, kinds) for each in speech):
         ways = "call generate for each, or gesturekit.render for all"
-        raise ModelError(f"speech is a list of {len(speech)} sounds: {ways}")
-    is_samples = speech is not None and not isinstance(speech, (str, os.PathLike, af.Wave))
-    if is_samples:
+        problem = f"speech is a list of {len(speech)} sounds: {ways}"
+    elif speech is not None and not isinstance(speech, files):
         return af.Wave.from_array(speech, sample_rate, "speech")
-    if sample_rate is not None:
+    elif sample_rate is not None:
         reason = "no speech is given" if speech is None else "a file or a Wave has its own rate"
-        raise ModelError(f"sample_rate={sample_rate!r} is only for an array of samples: {reason}")
+        problem = f"sample_rate={sample_rate!r} is only for an array of samples: {reason}"
+    if problem:
+        raise ModelError(problem)
     return speech
 
 
@@ -411,17 +397,17 @@ def speech_features(
         AudioError: the speech cannot be read.
     """
     if speech is not None:
-        if conditioner is None:
-            raise ModelError("speech: this model takes no speech; give seconds instead (--seconds)")
-        if seconds is not None:
-            raise ModelError("seconds cannot be combined with speech, which sets the length")
+        if conditioner is None or seconds is not None:
+            problem = "speech: this model takes no speech; give seconds instead (--seconds)"
+            both = "seconds cannot be combined with speech, which sets the length"
+            raise ModelError(problem if conditioner is None else both)
         wave = speech if isinstance(speech, af.Wave) else af.Wave.load(speech)
+        name, n_frames = wave.source or "the speech", wave.n_frames(fps)
         for repair in wave.repairs:
-            log.warning("%s: %s", wave.source or "the speech", repair)
-        n_frames = wave.n_frames(fps)
+            log.warning("%s: %s", name, repair)
         if n_frames < 1:
             short = f"{wave.duration:.3f} s is shorter than half a frame at {fps:g} fps"
-            raise ModelError(f"{wave.source or 'the speech'}: {short}")
+            raise ModelError(f"{name}: {short}")
         return conditioner(wave, n_frames, vad)
     if seconds is None:
         wanted = "seconds" if conditioner is None else "speech, or seconds for idle motion"
@@ -430,9 +416,8 @@ def speech_features(
         ends = f"{1 / fps:g} s (a frame) to {_LONGEST_SECONDS:g} s (a day)"
         raise ModelError(f"seconds={seconds!r}: give {ends}")
     n_frames = int(np.floor(seconds * fps + 0.5))
-    if conditioner is None:
-        return np.zeros((n_frames, 0), np.float32)
-    return conditioner.silence(n_frames)
+    nothing = np.zeros((n_frames, 0), np.float32)
+    return nothing if conditioner is None else conditioner.silence(n_frames)
 
 
 def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> np.ndarray:
@@ -456,10 +441,10 @@ def style_track(names: Sequence[str], wanted: str, n_frames: int, fps: float) ->
         return track
     time = np.arange(n_frames) / fps
     apart, numbers = [], []
-    for text in wanted.split(","):
-        match = _SPAN.fullmatch(text.strip())
+    for text in map(str.strip, wanted.split(",")):
+        match = _SPAN.fullmatch(text)
         if match is None or float(match["end"]) <= float(match["start"]):
-            raise ModelError(f"style {text.strip()!r}: spans look like old@0-10,angry@10-20")
+            raise ModelError(f"style {text!r}: spans look like old@0-10,angry@10-20")
         start, end = float(match["start"]), float(match["end"])
         numbers.append(style_number(names, match["name"]))
         apart.append(np.maximum(np.maximum(start - time, time - end + 0.5 / fps), 0.0))

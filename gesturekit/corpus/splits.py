@@ -20,10 +20,9 @@ from typing import Any
 
 from audio_features.archive import read_bytes
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import Item, file_fingerprint
-from gesturekit.corpus.manifest import absolute
+from gesturekit.corpus.manifest import Item, absolute, file_fingerprint
 from gesturekit.corpus.recording import MIN_DURATION, Recording
-from gesturekit.corpus.takes import by_id_or_stem
+from gesturekit.corpus.takes import by_id_or_stem, compiled
 from gesturekit.errors import CorpusError
 from gesturekit.wording import counted, listed
 
@@ -47,14 +46,11 @@ def choose_held_out(
     hardly changes when takes are added.
     """
     units = list(dict.fromkeys(names))
-    count = 0
-    if fraction > 0:
-        count = min(max(at_least, math.floor(fraction * len(units) + 0.5)), len(units) - 1)
+    count = min(max(at_least, math.floor(fraction * len(units) + 0.5)), len(units) - 1)
     ranked = sorted(units, key=lambda name: hashlib.sha256(f"{seed}:{name}".encode()).digest())
-    splits = dict.fromkeys(units, "train")
-    for i, name in enumerate(ranked[: max(count, 0)]):
-        splits[name] = "valid" if i % 2 else "test"
-    return splits
+    held_out = ranked[: max(count, 0) if fraction > 0 else 0]
+    splits = {name: ("test", "valid")[i % 2] for i, name in enumerate(held_out)}
+    return dict.fromkeys(units, "train") | splits
 
 
 def hold_out(
@@ -79,35 +75,25 @@ def hold_out(
     if not (pattern or file or speakers):
         return list(recordings)
     ids = [recording.id for recording in recordings]
-    wanted = _matching(ids, pattern) if pattern else set()
-    if file:
-        wanted |= _listed(ids, Path(file), copies)
+    matches = compiled("hold-out pattern", pattern).search if pattern else None
+    wanted = set(filter(matches, ids)) if matches else set()
     known = {recording.speaker for recording in recordings}
+    problem = ""
+    if pattern and ids and not wanted:
+        held = f"{counted(len(ids), 'recording')}, such as {ids[0]}"
+        problem = f"hold-out pattern {pattern} matches none of {held}"
+    wanted |= _listed(ids, Path(file), copies) if file else set()
     if unknown := sorted(set(speakers) - known):
         there = listed(sorted(filter(None, known))) or "none"
-        raise CorpusError(f"hold-out: no recording of speaker {unknown[0]!r}; there are {there}")
-    originals = {
-        _original(recording)
-        for recording in recordings
-        if recording.id in wanted or recording.speaker in speakers
-    }
+        problem = f"hold-out: no recording of speaker {unknown[0]!r}; there are {there}"
+    named = [r for r in recordings if r.id in wanted or r.speaker in speakers]
+    originals = set(map(_original, named))
     if recordings and originals == set(map(_original, recordings)):
-        raise CorpusError(f"all {counted(len(recordings), 'recording')} would be held out")
-    return [
-        replace(recording, split="test" if _original(recording) in originals else "train")
-        for recording in recordings
-    ]
-
-
-def _matching(ids: list[str], pattern: str) -> set[str]:
-    try:
-        names = {name for name in ids if re.search(pattern, name)}
-    except re.error as error:
-        raise CorpusError(f"hold-out pattern {pattern}: no regular expression: {error}") from error
-    if ids and not names:
-        held = f"{counted(len(ids), 'recording')}, such as {ids[0]}"
-        raise CorpusError(f"hold-out pattern {pattern} matches none of {held}")
-    return names
+        problem = f"all {counted(len(recordings), 'recording')} would be held out"
+    if problem:
+        raise CorpusError(problem)
+    splits = ["test" if _original(recording) in originals else "train" for recording in recordings]
+    return [replace(r, split=split) for r, split in zip(recordings, splits, strict=True)]
 
 
 def _listed(ids: list[str], file: Path, copies: str) -> set[str]:
@@ -121,9 +107,9 @@ def _listed(ids: list[str], file: Path, copies: str) -> set[str]:
     for line in filter(None, map(str.strip, lines)):
         stem = (Path(line).parent / Path(line).stem).as_posix()
         keys = (line, stem, re.sub(f"({copies})$", "", stem))
-        fitting = next(filter(None, map(by_name.get, keys)), [])
-        names.update(fitting)
-        if not fitting:
+        if fitting := next(filter(None, map(by_name.get, keys)), []):
+            names.update(fitting)
+        else:
             unknown.append(line)
     if unknown:
         lost = f"{counted(len(unknown), 'name')} without a usable recording"
@@ -182,10 +168,7 @@ def cut(start: float, stop: float, intervals: Sequence[Interval]) -> list[tuple[
 
 
 def split_items(
-    recordings: list[Recording],
-    holdout: float,
-    intervals: Sequence[Interval],
-    seed: int,
+    recordings: list[Recording], holdout: float, intervals: Sequence[Interval], seed: int
 ) -> tuple[list[Item], list[Problem]]:
     """Assign recordings to splits and turn them into items.
 
@@ -214,11 +197,8 @@ def split_items(
     else:
         items = _whole(paired, holdout, seed, at_least=1)
     of_take: dict[str | None, str | None] = {item.take: item.split for item in items}
-    alone = [
-        replace(recording, split=recording.split or of_take.get(recording.take))
-        for recording in recordings
-        if not (recording.audio and recording.motion)
-    ]
+    rest = [recording for recording in recordings if not (recording.audio and recording.motion)]
+    alone = [replace(r, split=r.split or of_take.get(r.take)) for r in rest]
     items += _whole([recording for recording in alone if recording.audio], holdout, seed)
     items += _whole([recording for recording in alone if recording.motion], holdout, seed)
     return items, problems

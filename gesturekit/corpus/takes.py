@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.item import file_fingerprint
+from gesturekit.corpus.manifest import file_fingerprint
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError, GestureKitError
 from gesturekit.formats.sources import load
@@ -47,25 +47,18 @@ def name_takes(
         CorpusError: not a regular expression, a table that cannot be read or names a recording
             that is not there, or a recording that is named by neither.
     """
-    ids = [recording.id for recording in recordings]
-    takes = takes_of(ids, pattern, table)
+    takes = takes_of([recording.id for recording in recordings], pattern, table)
     named = [replace(r, take=takes.get(r.id) or r.take or r.id) for r in recordings]
-    text = f"name does not match take pattern {pattern}: a take of its own"
-    problems = [
-        Problem("note", recording.file, text)
-        for recording in recordings
-        if pattern is not None and recording.id not in takes
-    ]
+    text, unmatched = f"name does not match take pattern {pattern}: a take of its own", []
+    if pattern is not None:
+        unmatched = [Problem("note", r.file, text) for r in recordings if r.id not in takes]
     said = merged_speakers([(r.id, r.speaker, r.take or "") for r in named if r.id in takes])
     if pattern is None and table is None:
-        readers = {
-            r.id: partial(load, r.motion, r.reading)
-            for r in recordings
-            if r.take is None and r.motion is not None
-        }
+        alone = [r for r in recordings if r.take is None]
+        readers = {r.id: partial(load, r.motion, r.reading) for r in alone if r.motion is not None}
         said = pieces_of_takes(readers)
     joined, copies = _join_copies(named)
-    return joined, problems + [Problem("warning", None, text) for text in said] + copies
+    return joined, unmatched + [Problem("warning", None, text) for text in said] + copies
 
 
 def takes_of(
@@ -82,13 +75,13 @@ def takes_of(
     """
     takes = {} if table is None else _read(Path(table), names)
     rest = [name for name in names if name not in takes]
-    found = {name: take_in(name, pattern) for name in rest} if pattern is not None else {}
-    if found and not any(found.values()):
-        raise CorpusError(
-            f"take pattern {pattern} matches none of {counted(len(rest), 'recording')}, such as "
-            f"{rest[0]}"
-        )
-    return takes | {name: take for name, take in found.items() if take}
+    if pattern is None or not rest:
+        return takes
+    found = {name: take for name in rest if (take := take_in(name, pattern))}
+    if not found:
+        held = f"{counted(len(rest), 'recording')}, such as {rest[0]}"
+        raise CorpusError(f"take pattern {pattern} matches none of {held}")
+    return takes | found
 
 
 def merged_speakers(named: Iterable[tuple[str, str | None, str]]) -> list[str]:
@@ -138,11 +131,12 @@ def pieces_of_takes(motions: Mapping[str, Callable[[], Motion]]) -> list[str]:
         if cut and (ending is _PART or _continue(cut.values(), motions)):
             form = next(iter(forms)) if len(forms) == 1 else f"(?:{'|'.join(forms)})"
             takes = len(motions) - sum(len(names) - 1 for names in cut.values())
+            shown = listed(sorted(next(iter(cut.values())).values()), 3)
             return [
-                f"{counted(len(motions), 'file')}, perhaps {counted(takes, 'recording')}: "
-                f"{listed(sorted(next(iter(cut.values())).values()), 3)} look like pieces of one "
-                f"take ({why}), but count as takes of their own, which flatters held-out pieces "
-                f"and narrows intervals. If they are, give --take-pattern '(.*){form}'"
+                f"{counted(len(motions), 'file')}, perhaps {counted(takes, 'recording')}: {shown} "
+                f"look like pieces of one take ({why}), but count as takes of their own, which "
+                "flatters held-out pieces and narrows intervals. If they are, give --take-pattern "
+                f"'(.*){form}'"
             ]
     return []
 
@@ -172,13 +166,11 @@ def _continues(before: Motion, after: Motion) -> bool:
         return rotation_angles(a, b).mean(axis=-1)
 
     poses, first = before.rotations, after.rotations[0]
-    steps = apart(poses[1:], poses[:-1])
-    walked = np.linalg.norm(np.diff(before.translation, axis=0), axis=-1)
-    gap = np.linalg.norm(after.translation[0] - before.translation[-1])
-    near = apart(poses[-1], first) <= 2.0 * steps.max(initial=0.0) and gap <= 2.0 * walked.max(
-        initial=0.01
-    )
-    return bool(near and apart(poses[-1], first) < 0.5 * apart(poses[0], first))
+    steps = apart(poses[1:], poses[:-1]).max(initial=0.0)
+    walked = np.linalg.norm(np.diff(before.translation, axis=0), axis=-1).max(initial=0.01)
+    turn, gap = apart(poses[-1], first), after.translation[0] - before.translation[-1]
+    near = turn <= 2.0 * steps and np.linalg.norm(gap) <= 2.0 * walked
+    return bool(near and turn < 0.5 * apart(poses[0], first))
 
 
 def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Problem]]:
@@ -193,19 +185,15 @@ def _join_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list
     contents = [[original[path] for path in files if path in original] for files in files_of]
     takes = _joined([recording.take or "" for recording in recordings], contents)
     firsts = _joined([recording.id for recording in recordings], contents)
-    joined = [
-        replace(recording, take=take, original=first)
-        for recording, take, first in zip(recordings, takes, firsts, strict=True)
-    ]
+    named = zip(recordings, takes, firsts, strict=True)
+    joined = [replace(recording, take=take, original=first) for recording, take, first in named]
     copies = [f"{path} (of {first})" for path, first in original.items() if path != first]
-    if not copies:
-        return joined, []
     text = (
         f"{counted(len(copies), 'file')} with the content of another: {listed(copies, 4)}. They "
         "count as one take, so that no copy of a held-out recording is trained on; delete those "
         "that are not meant to be there"
     )
-    return joined, [Problem("warning", None, text)]
+    return joined, [Problem("warning", None, text)] if copies else []
 
 
 def _originals(files: Sequence[Path]) -> dict[Path, Path]:
@@ -240,15 +228,19 @@ def take_in(name: str, pattern: str) -> str:
         >>> take_in("day1/talk_part03", "(.*)_part[0-9]+")
         'day1/talk'
     """
-    try:
-        match = re.search(pattern, name)
-    except re.error as error:
-        raise CorpusError(f"take pattern {pattern} is not a regular expression: {error}") from error
+    match = compiled("take pattern", pattern).search(name)
     if match is None:
         return ""
-    if "take" in match.re.groupindex:
-        return match["take"] or ""
-    return (match[1] if match.re.groups else match[0]) or ""
+    group = "take" if "take" in match.re.groupindex else min(match.re.groups, 1)
+    return match[group] or ""
+
+
+def compiled(what: str, pattern: str) -> re.Pattern[str]:
+    """Return a user's regular expression; raise CorpusError, which names it, for another text."""
+    try:
+        return re.compile(pattern)
+    except re.error as error:
+        raise CorpusError(f"{what} {pattern} is not a regular expression: {error}") from error
 
 
 def by_id_or_stem(ids: Sequence[str]) -> dict[str, list[str]]:
@@ -270,14 +262,14 @@ def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
     takes: dict[str, str] = {}
     try:
         for where, cells in read_table(table, ("id", "take")):
-            fitting = by_name.get(cells["id"], [])
-            if len(fitting) != 1:
-                hint = did_you_mean(cells["id"], by_name, "; did you mean {}?")
-                what = "several recordings" if fitting else "no usable recording"
-                raise CorpusError(f"{where}: id {cells['id']!r} is {what}{hint}")
-            if not cells["take"]:
-                raise CorpusError(f"{where}: no take of {cells['id']}")
-            takes[fitting[0]] = cells["take"]
+            name, take = cells["id"], cells["take"]
+            fitting = by_name.get(name, [])
+            if len(fitting) != 1 or not take:
+                hint = did_you_mean(name, by_name, "; did you mean {}?")
+                what = "several recordings" if fitting else f"no usable recording{hint}"
+                problem = f"no take of {name}" if len(fitting) == 1 else f"id {name!r} is {what}"
+                raise CorpusError(f"{where}: {problem}")
+            takes[fitting[0]] = take
     except (FormatError, OSError, UnicodeDecodeError) as error:
         raise CorpusError(f"{table}: cannot read the table of takes: {error}") from error
     return takes

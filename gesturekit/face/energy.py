@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from audio_features import Wave, speech_only
-from audio_features.acoustic.analysis import N_FFT, SAMPLE_RATE, power_blocks
+from audio_features.acoustic import N_FFT, SAMPLE_RATE, power_blocks
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from gesturekit.errors import MotionError
 from gesturekit.face.eyes import RATE, Eyes

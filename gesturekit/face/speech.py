@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from audio_features import Wave
-from audio_features.acoustic.analysis import SAMPLE_RATE
+from audio_features.acoustic import SAMPLE_RATE
 from gesturekit.errors import MotionError
 from gesturekit.face.energy import energy_mouth, mouth_of_sound, sampled
 from gesturekit.face.eyes import RATE, Eyes

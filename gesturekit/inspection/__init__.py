@@ -111,16 +111,16 @@ def _kind_of(path: Path) -> str:
         return "motion"
     if suffix in SPEECH_SUFFIXES:
         return "audio"
-    if reason := unreadable_media(path):
-        raise FormatError(f"{path}: {reason}")
     try:
-        what = _in_words(path)
+        problem = unreadable_media(path)
+        what = None if problem else _in_words(path)
     except OSError as error:
-        raise FormatError(f"{path}: {error.strerror}") from None
-    if suffix in _JSON and what in (None, A_JSON_FILE):
+        problem, what = str(error.strerror), None
+    if not problem and suffix in _JSON and what in (None, A_JSON_FILE):
         return _JSON[suffix]  # its reader says what it is where it is something else
     if what is None:
-        raise FormatError(f"{path}: not recognised; gesturekit inspects {_KNOWN}")
+        problem = problem or f"not recognised; gesturekit inspects {_KNOWN}"
+        raise FormatError(f"{path}: {problem}")
     return what
 
 

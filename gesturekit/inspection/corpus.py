@@ -62,21 +62,12 @@ def inspect_recordings(
     Raises:
         CorpusError: the folder has no recordings.
     """
-    report = prepare(
-        [folder],
-        unpaired=[folder],
-        unpaired_motion=[folder],
-        holdout=0.0,
-        parts=parts,
-        read=read,
-        progress=progress,
-    )
+    alone: dict[str, Any] = {"unpaired": [folder], "unpaired_motion": [folder], "holdout": 0.0}
+    report = prepare([folder], **alone, parts=parts, read=read, progress=progress)
     videos = [path for path in report.left_over if path.suffix.lower() in VIDEO_SUFFIXES]
-    report = replace(
-        report,
-        problems=tuple(dict.fromkeys(report.problems)),
-        left_over=tuple(path for path in report.left_over if path not in videos),
-    )
+    left_over = tuple(path for path in report.left_over if path not in videos)
+    problems = tuple(dict.fromkeys(report.problems))
+    report = replace(report, problems=problems, left_over=left_over)
     if report.is_complete and not report.manifest.items:
         raise CorpusError(f"{folder}: no recordings in it, neither motion nor sound")
     # Splits and labels are assigned by `prepare` only.

@@ -112,11 +112,8 @@ def inspect_run(folder: Path) -> Summary:
 
 def _numbers(values: dict[str, Any]) -> str:
     # Whole numbers of any length are JSON.
-    known = {
-        k: v
-        for k, v in values.items()
-        if isinstance(v, float) or (isinstance(v, int) and abs(v) < 2**63)
-    }
+    is_short = {k: not isinstance(v, int) or abs(v) < 2**63 for k, v in values.items()}
+    known = {k: v for k, v in values.items() if isinstance(v, int | float) and is_short[k]}
     return ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in known.items())
 
 

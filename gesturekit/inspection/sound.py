@@ -12,7 +12,7 @@ import soundfile
 
 import audio_features as af
 from audio_features.files import open_npy
-from audio_features.sound_file import soundfile_name
+from audio_features.wave import soundfile_name
 from gesturekit.formats.sources import is_feature_file, visible_folders
 from gesturekit.inspection.summary import Summary, size, span
 from gesturekit.wording import counted, listed
@@ -84,7 +84,7 @@ def _voice(wave: af.Wave) -> dict[str, Any]:
         "active_level_dbfs": speech.active_level(),
         "is_silent": wave.is_silent,
         "has_voice": not speech.is_silent,
-        "active_share": float(speech.active(0.01).mean()),
+        "active_share": float(speech.active().mean()),
     }
 
 
@@ -150,11 +150,8 @@ def _inspect_array(path: Path) -> Summary:
         values = open_npy(path)
     except af.FeatureError as error:
         raise af.FeatureError(f"{path}: {error}") from None
-    facts: dict[str, Any] = {
-        "path": str(path),
-        "shape": list(values.shape),
-        "dtype": str(values.dtype),
-    }
+    facts: dict[str, Any] = {"path": str(path), "dtype": str(values.dtype)}
+    facts["shape"] = list(values.shape)
     rows = {"shape": f"{values.shape}, {values.dtype}"}
     if values.ndim == 2:
         dim = values.shape[1]
@@ -163,9 +160,9 @@ def _inspect_array(path: Path) -> Summary:
     if values.dtype.kind in "fiub":
         flat = values.ravel(order="K")
         blocks = [flat[start : start + _BLOCK] for start in range(0, flat.size, _BLOCK)]
-        facts["nan"] = sum(int(np.isnan(block).sum()) for block in blocks)
-        facts["infinite"] = sum(int(np.isinf(block).sum()) for block in blocks)
-        counts = {"NaN": facts["nan"], "infinite": facts["infinite"]}
+        counts = {"NaN": sum(int(np.isnan(block).sum()) for block in blocks)}
+        counts["infinite"] = sum(int(np.isinf(block).sum()) for block in blocks)
+        facts |= {name.lower(): n for name, n in counts.items()}
         problems += [f"{n} of {flat.size} values are {name}" for name, n in counts.items() if n]
     else:
         problems.append(f"{values.dtype} is no number: save plain numbers")

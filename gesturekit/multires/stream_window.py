@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from audio_features.acoustic.analysis import FRAME_RATE
+from audio_features.acoustic import FRAME_RATE
 from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of

@@ -32,9 +32,9 @@ import soundfile
 
 import audio_features as af
 from audio_features.archive import read_bytes
-from audio_features.sound_file import soundfile_name
+from audio_features.wave import soundfile_name
 from audio_features.words import load_words, words_beside
-from gesturekit.corpus.item import Item, check_id
+from gesturekit.corpus.manifest import Item, check_id
 from gesturekit.errors import ConfigError, CorpusError
 from gesturekit.formats.sources import (
     OTHER_SPEECH_SUFFIXES,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import audio_features as af
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Item
 from gesturekit.errors import ConfigError
 from gesturekit.formats.registry import WRITABLE
 from gesturekit.formats.smpl import Rig

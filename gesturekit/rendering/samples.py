@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 import audio_features as af
-from gesturekit.corpus.item import Item
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import Item, Manifest
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.comparison import LDA_SAMPLES, MULTIRES_LENGTH, MULTIRES_SAMPLES
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, files_by_key, motion_files

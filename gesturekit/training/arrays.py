@@ -25,7 +25,7 @@ import numpy.lib.format as npy
 from torch import Tensor
 
 from audio_features.atomic import atomic_write, write_text
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Item
 from gesturekit.corpus.speech import one_blas_thread
 from gesturekit.errors import (
     ConfigError,

@@ -18,7 +18,7 @@ from audio_features.files import own_files
 from audio_features.track import ALIGNMENTS
 from audio_features.weight_files import WeightPlaces
 from audio_features.words import takes_words
-from gesturekit.corpus.item import Item, file_fingerprint
+from gesturekit.corpus.manifest import Item, file_fingerprint
 from gesturekit.corpus.speech import (
     Normalisation,
     RawFeatures,

@@ -12,8 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gesturekit.corpus.item import Item
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import Item, Manifest
 from gesturekit.corpus.takes import neighbours
 from gesturekit.errors import GestureKitError
 from gesturekit.evaluation import evaluate

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from audio_features.atomic import write_text
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.item import Item, file_fingerprint
+from gesturekit.corpus.manifest import Item, file_fingerprint
 from gesturekit.errors import ConfigError
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import counted, roughly

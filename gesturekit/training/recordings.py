@@ -17,8 +17,7 @@ import numpy as np
 import torch
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.item import Item, file_fingerprint
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import Item, Manifest, file_fingerprint
 from gesturekit.corpus.takes import neighbours
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.formats.smpl import mean_body, on_body

@@ -19,7 +19,7 @@ import soundfile
 from scipy.signal import find_peaks
 
 from audio_features import AudioError, LogMel, Onset, Wave
-from audio_features.sound_file import soundfile_name
+from audio_features.wave import soundfile_name
 from gesturekit.motion.body_model import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.face import values_of

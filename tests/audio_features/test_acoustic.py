@@ -15,8 +15,8 @@ from audio_features import (
     Stack,
     Wave,
 )
-from audio_features.acoustic import analysis
-from audio_features.acoustic.analysis import import_librosa, track_pitch
+from audio_features import acoustic as analysis
+from audio_features.acoustic import import_librosa, track_pitch
 
 EVERYTHING = Stack([LogMel(), MFCC(), Prosody()])
 

@@ -11,7 +11,7 @@ CODE = """
 import sys
 import numpy as np
 import audio_features as af
-from audio_features.acoustic.analysis import import_librosa
+from audio_features.acoustic import import_librosa
 from gesturekit.evaluation import music_beats, speech_onsets
 import_librosa()
 if "compute" in sys.argv:

@@ -5,7 +5,7 @@ import pytest
 from sounds import voiced
 
 import audio_features as af
-from audio_features.acoustic.analysis import ShortTimeSpectrum
+from audio_features.acoustic import ShortTimeSpectrum
 from audio_features.acoustic.streaming import SpectrumStream, check_streams
 
 

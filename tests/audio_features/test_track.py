@@ -8,7 +8,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from audio_features import FeatureError, FeatureTrack, Wave
-from audio_features.acoustic.analysis import ShortTimeSpectrum
+from audio_features.acoustic import ShortTimeSpectrum
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from audio_features import Wave
 from gesturekit.corpus import Item, Manifest
-from gesturekit.corpus.item import check_id, muted
+from gesturekit.corpus.manifest import check_id, muted
 from gesturekit.errors import CorpusError
 
 RECORD = {

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gesturekit.corpus.item import file_fingerprint
+from gesturekit.corpus.manifest import file_fingerprint
 from gesturekit.training.origin import (
     TrainedSegment,
     is_trained_on,

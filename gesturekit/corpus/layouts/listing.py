@@ -6,6 +6,7 @@ import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from gesturekit.corpus.checks import Problem
 from gesturekit.corpus.recording import Recording
@@ -34,6 +35,32 @@ class Listing:
     recordings: list[Recording] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
     left_over: list[Path] = field(default_factory=list)
+    _lacking: dict[tuple[str, str, Path], list[str]] = field(default_factory=dict)
+
+    def add(
+        self, name: str, files: Mapping[str, Path], sides: Mapping[str, Path], **about: Any
+    ) -> None:
+        """Add a recording with those of its files, `audio` and `motion`, and sides that are there.
+
+        Args:
+            name: its id.
+            files, sides: by the names of `Recording`'s fields, and of its conditions.
+            about: further fields.
+        """
+        there = {key: file for key, file in files.items() if file.is_file()}
+        conditions = {key: file for key, file in sides.items() if file.is_file()}
+        self.recordings.append(Recording(name, conditions=conditions, **there | about))
+
+    def lacks(self, what: str, file: Path, where: Path, severity: str = "error") -> bool:
+        """Return whether a file is not there; `report_missing` reports it."""
+        if not file.is_file():
+            self._lacking.setdefault((severity, what, where), []).append(file.name)
+        return not file.is_file()
+
+    def report_missing(self) -> None:
+        """Report the files that `lacks` did not find."""
+        for (severity, what, where), names in self._lacking.items():
+            self.missing(what, names, where, severity)
 
     def missing(self, what: str, names: Iterable[str], where: Path, severity: str) -> None:
         """Report files that are not there, by name; nothing if there are none."""
@@ -44,9 +71,8 @@ class Listing:
     def note(self, text: str, names: Iterable[str], where: Path) -> None:
         """Report files that the published rules leave out or that have a known fault, by name."""
         if names := sorted(names):
-            self.problems.append(
-                Problem("note", where, f"{text}: {len(names)}: {listed(names, _SHOWN)}")
-            )
+            text = f"{text}: {len(names)}: {listed(names, _SHOWN)}"
+            self.problems.append(Problem("note", where, text))
 
 
 def root_with(folder: Path, names: Iterable[str], layout: str) -> Path:
@@ -56,25 +82,19 @@ def root_with(folder: Path, names: Iterable[str], layout: str) -> Path:
         CorpusError: there is no such folder, or more than one.
     """
     names = list(names)
-    if not folder.is_dir():
-        what = "is a file, not a folder" if folder.exists() else "no such folder"
-        raise CorpusError(f"{folder}: {what}; give the folder of the {layout} corpus")
-    if any((folder / name).exists() for name in names):
+
+    def fits(entry: Path) -> bool:
+        return any((entry / name).exists() for name in names)
+
+    if folder.is_dir() and fits(folder):
         return folder
-    inside = [
-        entry
-        for entry in sorted(folder.iterdir())
-        if entry.is_dir() and any((entry / name).exists() for name in names)
-    ]
+    inside = [entry for entry in sorted(folder.glob("*/")) if fits(entry)]
     if len(inside) == 1:
         return inside[0]
-    why = "several folders have one" if inside else "not found"
-    raise CorpusError(f"{folder}: {' or '.join(names)}: {why}; give the folder of {layout}")
-
-
-def existing(files: Mapping[str, Path]) -> dict[str, Path]:
-    """Return the side files that are there, by name."""
-    return {name: file for name, file in files.items() if file.is_file()}
+    problem = f"{' or '.join(names)}: {'several folders have one' if inside else 'not found'}"
+    if not folder.is_dir():
+        problem = "is a file, not a folder" if folder.exists() else "no such folder"
+    raise CorpusError(f"{folder}: {problem}; give the folder of the {layout} corpus")
 
 
 def rows(
@@ -90,14 +110,12 @@ def rows(
     Raises:
         CorpusError: the file is missing or no such table; with its line.
     """
-    columns = list(columns)
-    optional: list[str] = []
+    columns, header = list(columns), list[str]()
     try:
         if others and path.is_file():
             with path.open(encoding="utf-8-sig", newline="") as file:
-                header = next(csv.reader(file), [])
-            optional = [name.strip().lower() for name in header]
-        return list(read_table(path, columns, [name for name in optional if name not in columns]))
+                header = [name.strip().lower() for name in next(csv.reader(file), [])]
+        return list(read_table(path, columns, [name for name in header if name not in columns]))
     except (FormatError, OSError, UnicodeDecodeError, csv.Error) as error:
         where = "" if str(path) in str(error) else f"{path}: "
         raise CorpusError(f"{where}{error}; download it again") from error

@@ -40,18 +40,12 @@ def read_motorica(folder: Path) -> Listing:
         if match is None:
             listing.left_over.append(motion)
             continue
-        audio = sounds.pop(motion.stem, None)
-        if audio is None:
+        files, dance = {"motion": motion}, {"speaker": match["dancer"], "style": match["style"]}
+        if motion.stem in sounds:
+            files["audio"] = sounds.pop(motion.stem)
+        else:
             silent.append(f"{motion.stem}.wav")
-        listing.recordings.append(
-            Recording(
-                motion.stem,
-                audio=audio,
-                motion=motion,
-                speaker=match["dancer"],
-                style=match["style"],
-            )
-        )
+        listing.add(motion.stem, files, {}, **dance)
     _check_found(listing, folder, "Motorica", "kthstreet_gLO_sFM_cAll_d02_mLO_ch01_NAME.bvh")
     listing.missing("wav file (motion alone)", silent, folder, "note")
     listing.left_over += sounds.values()
@@ -66,9 +60,9 @@ def read_100style(folder: Path) -> Listing:
     """
     root = root_with(folder, ["Frame_Cuts.csv"], "100STYLE")
     listing = Listing(fps=60.0)
-    absent, uncut, listed_files = [], [], set()
+    cuts, uncut, listed_files = root / "Frame_Cuts.csv", [], set()
     ends = [f"{gait.lower()}_{end}" for gait in _GAITS for end in ("start", "stop")]
-    for where, row in rows(root / "Frame_Cuts.csv", ("style_name", *ends), others=True):
+    for where, row in rows(cuts, ("style_name", *ends), others=True):
         style = row["style_name"]
         for gait in _GAITS:
             file = root / style / f"{style}_{gait}.bvh"
@@ -76,13 +70,10 @@ def read_100style(folder: Path) -> Listing:
             listed_files.add(file)
             if cut is None and file.is_file():
                 uncut.append(file.name)
-            elif cut is not None and not file.is_file():
-                absent.append(file.name)
-            elif cut is not None:
-                listing.recordings.append(
-                    Recording(f"{style}/{file.stem}", motion=file, style=style, limits=cut)
-                )
-    listing.missing("bvh file", absent, root / "Frame_Cuts.csv", "error")
+            elif cut is not None and not listing.lacks("bvh file", file, cuts):
+                name = f"{style}/{file.stem}"
+                listing.add(name, {"motion": file}, {}, style=style, limits=cut)
+    listing.report_missing()
     listing.note("without a cut in Frame_Cuts.csv, left out", uncut, root)
     listing.left_over = [f for f in sorted(root.glob("*/*.bvh")) if f not in listed_files]
     return listing
@@ -114,24 +105,18 @@ def read_trinity(folder: Path) -> Listing:
         raise CorpusError(f"{folder}: Trinity's raw form; get GENEA 2020's (source/bvh, audio)")
     root = root_with(folder, ["source", "bvh"], "Trinity")
     root = root / "source" if (root / "source").is_dir() else root
-    listing = Listing(fps=60.0)
-    absent = []
-    audio_of = {file.stem: file for file in sorted((root / "audio").glob("*.wav"))}
+    listing, sounds = Listing(fps=60.0), set((root / "audio").glob("*.wav"))
     for motion in sorted((root / "bvh").glob("*.bvh")):
+        audio = root / "audio" / f"{motion.stem}.wav"
         if _TRINITY.fullmatch(motion.stem) is None:
             listing.left_over.append(motion)
-            continue
-        audio = audio_of.pop(motion.stem, None)
-        if audio is None:
-            absent.append(f"{motion.stem}.wav")
-            continue
-        split = "test" if motion.stem == _TRINITY_TEST else "train"
-        listing.recordings.append(
-            Recording(motion.stem, audio=audio, motion=motion, speaker="trinity", split=split)
-        )
+        elif not listing.lacks("wav file", audio, root / "audio"):
+            split = "test" if motion.stem == _TRINITY_TEST else "train"
+            files = {"audio": audio, "motion": motion}
+            listing.add(motion.stem, files, {}, speaker="trinity", split=split)
     _check_found(listing, root, "Trinity", "bvh/Recording_001.bvh")
-    listing.missing("wav file", absent, root / "audio", "error")
-    listing.left_over += audio_of.values()
+    listing.report_missing()
+    listing.left_over += sorted(sounds - {recording.audio for recording in listing.recordings})
     return listing
 
 
@@ -169,35 +154,28 @@ def read_zeggs(folder: Path) -> Listing:
     info = _info(root, inside)
     files = {file.stem: file for file in sorted(inside.glob("*.bvh"))}
     original = not any("_x_" in stem for stem in files)
-    copies, no_sound, done = [], [], set()
+    copies, done = [], set()
     for stem, motion in files.items():
         match = _NAME.fullmatch(stem)
         if match is None:
             listing.left_over.append(motion)
             continue
         done.add(match["take"])
+        audio, row = motion.with_suffix(".wav"), info.get(match["take"])
         if match["mirror"] or match["ratio"] not in (None, "_x_1_0"):
             copies.append(motion.name)
-            continue
-        audio = motion.with_suffix(".wav")
-        if not audio.is_file():
-            no_sound.append(audio.name)
-            continue
-        row = info.get(match["take"])
-        recording = Recording(
-            stem, audio=audio, motion=motion, speaker=_SPEAKER, style=match["style"]
-        )
-        if row is not None:
-            split = "valid" if row[1]["validation"].upper() == "TRUE" else "train"
-            recording = replace(recording, style=row[1]["style"], split=split)
-        try:
-            listing.recordings.append(
-                _trimmed(recording, row, root, listing) if original else recording
-            )
-        except CorpusError as error:
-            listing.problems.append(Problem("error", motion, str(error)))
+        elif not listing.lacks("wav file", audio, inside):
+            recording = Recording(stem, audio, motion, speaker=_SPEAKER, style=match["style"])
+            if row is not None:
+                split = "valid" if row[1]["validation"].upper() == "TRUE" else "train"
+                recording = replace(recording, style=row[1]["style"], split=split)
+            try:
+                cut = _trimmed(recording, row, root, listing) if original else recording
+                listing.recordings.append(cut)
+            except CorpusError as error:
+                listing.problems.append(Problem("error", motion, str(error)))
     listing.note("mirrored or of another tempo, left out", copies, inside)
-    listing.missing("wav file", no_sound, inside, "error")
+    listing.report_missing()
     if info:
         listing.missing("take of info.csv", info.keys() - done, root / _INFO, "error")
     else:
@@ -241,10 +219,7 @@ def _info(root: Path, inside: Path) -> dict[str, tuple[str, Mapping[str, str]]]:
 
 
 def _trimmed(
-    recording: Recording,
-    row: tuple[str, Mapping[str, str]] | None,
-    root: Path,
-    listing: Listing,
+    recording: Recording, row: tuple[str, Mapping[str, str]] | None, root: Path, listing: Listing
 ) -> Recording:
     """Add offset, limits and audible intervals of an original recording.
 
@@ -292,11 +267,10 @@ def _turns(table: Path) -> tuple[tuple[float, float], ...]:
         times = []
         for name in ("start", "end"):
             match = _MINUTES.fullmatch(row[name])
-            if match is None:
-                raise CorpusError(f"{where}: {name} is {row[name][:40]!r}; expected MM:SS.mmm")
-            minutes, seconds, fraction = match.groups()
-            times.append(60.0 * int(minutes) + float(f"{seconds}.{fraction}"))
+            minutes, seconds, fraction = match.groups() if match else ("nan", "0", "0")
+            times.append(60.0 * float(minutes) + float(f"{seconds}.{fraction}"))
         if not times[0] <= times[1] < math.inf:
-            raise CorpusError(f"{where}: ends at {times[1]} s, before {times[0]} s")
+            held = [row[name][:40] for name in ("start", "end")]
+            raise CorpusError(f"{where}: start and end are {held}; expected two times MM:SS.mmm")
         turns.append((times[0], times[1]))
     return tuple(turns)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 
 from audio_features.archive import open_archive
 from gesturekit.corpus.checks import Problem
-from gesturekit.corpus.layouts.listing import Listing, existing, root_with, rows
+from gesturekit.corpus.layouts.listing import Listing, root_with, rows
 from gesturekit.corpus.recording import Recording
 from gesturekit.errors import CorpusError, FormatError
 from gesturekit.formats.amass import FPS
@@ -50,38 +49,28 @@ def read_beat2(folder: Path) -> Listing:
     """
     root = root_with(folder, [_BEAT_INDEX], "BEAT2")
     listing = Listing(fps=30.0)
-    types = _types(root / _BEAT_INDEX, listing)
-    absent: dict[str, list[str]] = {"npz file": [], "wav file": [], "TextGrid": [], "sem file": []}
+    index = root / _BEAT_INDEX
+    types = _types(index, listing)
     for name, split in types.items():
         match = _BEAT_ID.fullmatch(name)
         if match is None or split not in _BEAT_SPLITS:
             continue
         motion, audio = root / "smplxflame_30" / f"{name}.npz", root / "wave16k" / f"{name}.wav"
-        sides = {
-            "words": root / "textgrid" / f"{name}.TextGrid",
-            "semantics": root / "sem" / f"{name}.txt",
-        }
-        for what, file in zip(absent, (motion, audio, *sides.values()), strict=True):
-            if not file.is_file():
-                absent[what].append(file.name)
-        if audio.is_file() and (motion.is_file() or split == "test"):
-            listing.recordings.append(
-                Recording(
-                    name,
-                    audio=audio,
-                    motion=motion if motion.is_file() else None,
-                    speaker=match["speaker"],
-                    style=_emotion(int(match["start"])),
-                    split=_BEAT_SPLITS[split],
-                    conditions=existing(sides),
-                )
-            )
-    for what, names in absent.items():
-        severity = "error" if what in ("npz file", "wav file") else "note"
-        listing.missing(what, names, root / _BEAT_INDEX, severity)
+        words, semantics = root / "textgrid" / f"{name}.TextGrid", root / "sem" / f"{name}.txt"
+        is_still = listing.lacks("npz file", motion, index)
+        is_silent = listing.lacks("wav file", audio, index)
+        listing.lacks("TextGrid", words, index, "note")
+        listing.lacks("sem file", semantics, index, "note")
+        if not is_silent and (split == "test" or not is_still):
+            about = {"speaker": match["speaker"], "style": _emotion(int(match["start"]))}
+            sides = {"words": words, "semantics": semantics}
+            files = {"audio": audio, "motion": motion}
+            listing.add(name, files, sides, split=_BEAT_SPLITS[split], **about)
+    listing.report_missing()
     additional = [name for name, split in types.items() if split == "additional"]
-    listing.note("of type additional, in no split and left out", additional, root / _BEAT_INDEX)
-    listing.left_over = [file for file in _files(root) if file.stem not in types]
+    listing.note("of type additional, in no split and left out", additional, index)
+    media = [*sorted(root.glob("smplxflame_30/*.npz")), *sorted(root.glob("wave16k/*.wav"))]
+    listing.left_over = [file for file in media if file.stem not in types]
     return listing
 
 
@@ -103,11 +92,6 @@ def _emotion(sentence: int) -> str:
     return next((name for low, high, name in _EMOTIONS if low <= sentence <= high), "neutral")
 
 
-def _files(root: Path) -> Iterator[Path]:
-    yield from sorted((root / "smplxflame_30").glob("*.npz"))
-    yield from sorted((root / "wave16k").glob("*.wav"))
-
-
 _GENEA_SPLITS = {"trn": "train", "val": "valid", "tst": "test"}
 _GENEA_COLUMNS = ("speaker", "fingers", "partner", "partner_fingers")
 
@@ -127,6 +111,7 @@ def read_genea2023(folder: Path) -> Listing:
     for name, split in _GENEA_SPLITS.items():
         if (root / name).is_dir():
             _read_genea_split(root / name, split, listing)
+    listing.report_missing()
     absent = [name for name in ("trn", "val") if not (root / name).is_dir()]
     listing.missing("split", absent, root, "note")
     return listing
@@ -138,40 +123,26 @@ def _read_genea_split(folder: Path, split: str, listing: Listing) -> None:
     stems = {file.stem for file in (agent / "wav").glob("*.wav")}
     stems |= {file.stem for file in (agent / "bvh").glob("*.bvh")}
     stems |= {f"{name}_main-agent" for name in about}
-    no_sound, no_motion, no_words, no_fingers = [], [], [], []
+    no_fingers = []
     for stem in sorted(stems):
-        audio, motion = agent / "wav" / f"{stem}.wav", agent / "bvh" / f"{stem}.bvh"
-        if not audio.is_file():
-            no_sound.append(audio.name)
-            continue
-        if not motion.is_file() and split != "test":
-            no_motion.append(motion.name)
-            continue
-        row = about.get(stem.removesuffix("_main-agent"), {})
-        if row and row["fingers"] != "finger_incl":
-            no_fingers.append(stem)
-        if not (agent / "tsv" / f"{stem}.tsv").is_file():
-            no_words.append(f"{stem}.tsv")
         other = stem.replace("main-agent", "interloctr")
+        files = {"audio": agent / "wav" / f"{stem}.wav", "motion": agent / "bvh" / f"{stem}.bvh"}
         sides = {
             "words": agent / "tsv" / f"{stem}.tsv",
             "partner_audio": partner / "wav" / f"{other}.wav",
             "partner_motion": partner / "bvh" / f"{other}.bvh",
             "partner_words": partner / "tsv" / f"{other}.tsv",
         }
-        listing.recordings.append(
-            Recording(
-                f"{folder.name}/{stem}",
-                audio=audio,
-                motion=motion if motion.is_file() else None,
-                speaker=row.get("speaker"),
-                split=split,
-                conditions=existing(sides),
-            )
-        )
-    listing.missing("wav file", no_sound, agent / "wav", "error")
-    listing.missing("bvh file", no_motion, agent / "bvh", "error")
-    listing.missing("tsv file", no_words, agent / "tsv", "note")
+        if listing.lacks("wav file", files["audio"], agent / "wav") or (
+            split != "test" and listing.lacks("bvh file", files["motion"], agent / "bvh")
+        ):
+            continue
+        listing.lacks("tsv file", sides["words"], agent / "tsv", "note")
+        row = about.get(stem.removesuffix("_main-agent"), {})
+        if row and row["fingers"] != "finger_incl":
+            no_fingers.append(stem)
+        name, speaker = f"{folder.name}/{stem}", row.get("speaker")
+        listing.add(name, files, sides, speaker=speaker, split=split)
     listing.note("fingers were not recorded (metadata.csv)", no_fingers, folder)
 
 
@@ -209,12 +180,12 @@ def read_seamless(folder: Path) -> Listing:
         for name, split in _SEAMLESS_SPLITS.items():
             if (root / kind / name).is_dir():
                 _read_seamless_split(root, kind, name, split, listing)
+    listing.report_missing()
     return listing
 
 
 def _read_seamless_split(root: Path, kind: str, name: str, split: str, listing: Listing) -> None:
     sessions: dict[str, dict[str, Path]] = defaultdict(dict)
-    absent: list[str] = []
     for motion in sorted((root / kind / name).rglob("*.npz")):
         if match := _SEAMLESS_NAME.fullmatch(motion.stem):
             sessions[match["session"]][match["person"]] = motion
@@ -223,34 +194,20 @@ def _read_seamless_split(root: Path, kind: str, name: str, split: str, listing: 
     for people in sessions.values():
         for person, motion in people.items():
             audio = motion.with_suffix(".wav")
-            if not audio.is_file():
-                absent.append(audio.name)
+            if listing.lacks("wav file", audio, root / kind / name):
                 continue
             partner = next((file for other, file in people.items() if other != person), None)
             sides = {"words": motion.with_suffix(".json")}
             if partner is not None:
-                sides |= {
-                    "partner_motion": partner,
-                    "partner_audio": partner.with_suffix(".wav"),
-                    "partner_words": partner.with_suffix(".json"),
-                }
-            recording = Recording(
-                motion.relative_to(root).with_suffix("").as_posix(),
-                audio=audio,
-                motion=motion,
-                speaker=person,
-                take=motion.stem.split("_I")[0],
-                style=kind,
-                split=split,
-                conditions=existing(sides),
-            )
-            listing.recordings += _valid_runs(recording, listing)
-    sounds = [
-        file for file in (root / kind / name).rglob("*.wav") if _SEAMLESS_NAME.fullmatch(file.stem)
-    ]
-    still = [file.stem + ".npz" for file in sounds if not file.with_suffix(".npz").is_file()]
-    listing.missing("wav file", absent, root / kind / name, "error")
-    listing.missing("npz file", still, root / kind / name, "error")
+                suffixes = {"motion": ".npz", "audio": ".wav", "words": ".json"}
+                sides |= {f"partner_{k}": partner.with_suffix(end) for k, end in suffixes.items()}
+            about = {"speaker": person, "take": motion.stem.split("_I")[0], "style": kind}
+            stem = motion.relative_to(root).with_suffix("").as_posix()
+            listing.add(stem, {"audio": audio, "motion": motion}, sides, split=split, **about)
+            listing.recordings += _valid_runs(listing.recordings.pop(), listing)
+    for file in (root / kind / name).rglob("*.wav"):
+        if _SEAMLESS_NAME.fullmatch(file.stem):
+            listing.lacks("npz file", file.with_suffix(".npz"), root / kind / name)
 
 
 def _valid_runs(recording: Recording, listing: Listing) -> list[Recording]:

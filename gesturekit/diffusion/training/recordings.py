@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gesturekit.corpus.checks import first_difference
-from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.corpus.layouts import HANDED
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import Item, Manifest, file_fingerprint
 from gesturekit.corpus.speech import style_track
 from gesturekit.diffusion.conditions import Conditions, smooth_path
 from gesturekit.diffusion.config import DiffusionConfig

@@ -13,7 +13,7 @@ from typing import Any
 import audio_features
 from audio_features.cache import DiskCache, default_folder, size_limit
 from audio_features.kinds import digest_of_sources, installed_versions
-from gesturekit.corpus.item import file_fingerprint
+from gesturekit.corpus.manifest import file_fingerprint
 from gesturekit.evaluation.pairs import ItemInterval
 
 _KIND = "measurements-1"

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from audio_features import Wave
-from audio_features.acoustic.analysis import import_librosa
+from audio_features.acoustic import import_librosa
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed

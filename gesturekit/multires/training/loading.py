@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.corpus.item import Item
+from gesturekit.corpus.manifest import Item
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.motion import Motion

@@ -11,10 +11,9 @@ import numpy as np
 import torch
 
 import audio_features as af
-from audio_features.acoustic.analysis import SAMPLE_RATE
+from audio_features.acoustic import SAMPLE_RATE
 from audio_features.acoustic.streaming import check_streams
-from gesturekit.corpus.item import Item
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import Item, Manifest
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ModelError
 from gesturekit.multires.config import MultiresConfig
