@@ -25,8 +25,8 @@ from gesturekit.evaluation.results import (
     ModelResult,
     QuestionAgreement,
 )
+from gesturekit.evaluation.statistics.answers import Ratings
 from gesturekit.evaluation.statistics.intervals import FEW, LEVEL, holm
-from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
 from gesturekit.wording import counted, listed, printable
 
