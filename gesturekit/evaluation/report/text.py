@@ -23,7 +23,7 @@ from gesturekit.evaluation.results import (
 )
 from gesturekit.evaluation.statistics.agreement import conclusion
 from gesturekit.evaluation.statistics.intervals import Takes
-from gesturekit.evaluation.statistics.levels import level_name
+from gesturekit.evaluation.statistics.model_metrics import level_name
 from gesturekit.evaluation.statistics.paired import Contest, contests
 from gesturekit.wording import counted, listed, printable
 
