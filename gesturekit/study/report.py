@@ -19,8 +19,8 @@ import numpy as np
 from markupsafe import Markup
 
 from audio_features.atomic import write_text
-from gesturekit.evaluation.report.page import templates
 from gesturekit.evaluation.report.plots import new_figure, shortened, svg_text
+from gesturekit.evaluation.report.text import templates
 from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.evaluation.statistics.intervals import LEVEL
 from gesturekit.evaluation.statistics.scores import Estimate

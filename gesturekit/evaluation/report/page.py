@@ -118,7 +118,7 @@ def write_report(
 
 def _environment() -> jinja2.Environment:
     """Return the environment of the page: all text loses its folders."""
-    environment = templates(_PAGE)
+    environment = text.templates(_PAGE)
     environment.finalize = lambda value: without_folders(value) if type(value) is str else value
     environment.globals |= {"colour": colour, "counted": counted}
     environment.tests["contains"] = lambda names, name: name in names
@@ -131,17 +131,6 @@ def _environment() -> jinja2.Environment:
         "px": "{:.1f}".format,
     }
     return environment
-
-
-def templates(folder: Path) -> jinja2.Environment:
-    """Return an environment of the templates of a folder; all text is escaped."""
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
 
 
 def without_folders(line: str) -> str:

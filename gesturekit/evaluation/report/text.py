@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.results import (
     NOT_ASKED,
@@ -388,33 +390,34 @@ def _changed_values(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[
         yield f"  {name}: {number(was)} before, {number(now)}{unit} now{mark}"
 
 
+def templates(folder: Path, *, autoescape: bool = True) -> jinja2.Environment:
+    """Return an environment of the templates of a folder, in which names must be known."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=autoescape,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=not autoescape,
+        undefined=jinja2.StrictUndefined,
+    )
+
+
 def markdown(evaluation: Evaluation) -> str:
     """Return the table in Markdown, one heading line a group."""
-    labels = [_markdown(model.heading) for model in evaluation.models]
-    head = ["Metric", "", *labels, "Recording", "Chance"]
-    lines = [f"| {' | '.join(head)} |", f"|---|---|{'---:|' * (len(head) - 2)}"]
-    for group, rows in rows_by_group(evaluation).items():
-        lines.append(f"| **{group}** |{' |' * (len(head) - 1)}")
-        for name, *cells in (row.cells("**{}**".format) for row in rows):
-            lines.append(f"| {' | '.join((_markdown(name), *cells))} |")
-    return "\n".join((*lines, "", _caption(evaluation), ""))
+    return _table(evaluation, "table.md", _markdown)
 
 
 def latex(evaluation: Evaluation) -> str:
     """Return the table in LaTeX (booktabs), without a float around it."""
-    labels = [_latex(model.heading) for model in evaluation.models]
-    width = len(labels) + 4
-    lines = [
-        f"% {_latex(_caption(evaluation))}",
-        rf"\begin{{tabular}}{{ll{'r' * (width - 2)}}}",
-        r"\toprule",
-        " & ".join(["Metric", "", *labels, "Recording", "Chance"]) + r" \\",
-    ]
-    for group, rows in rows_by_group(evaluation).items():
-        lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textit{{{_latex(group)}}}}} \\"]
-        for name, *cells in (row.cells(r"\textbf{{{}}}".format, _latex) for row in rows):
-            lines.append(" & ".join([_latex(name), *cells]) + r" \\")
-    return "\n".join((*lines, r"\bottomrule", r"\end{tabular}", ""))
+    return _table(evaluation, "table.tex", _latex)
+
+
+def _table(evaluation: Evaluation, name: str, escaped: Callable[[str], str]) -> str:
+    """Return the table as a template writes it; names, and values of LaTeX, are escaped."""
+    environment = templates(Path(__file__).parent / "page", autoescape=False)
+    environment.filters["escaped"] = escaped
+    groups = rows_by_group(evaluation)
+    return environment.get_template(name).render(evaluation=evaluation, groups=groups, latex=_latex)
 
 
 def csv_text(evaluation: Evaluation) -> str:
@@ -443,15 +446,6 @@ WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
     "latex": latex,
 }
 """Functions that return all results (json), or the table, as text, by name of the form."""
-
-
-def _caption(evaluation: Evaluation) -> str:
-    return (
-        f"{evaluation.basis} Mean and 95 % interval over takes. Bold: nearer to the recordings' "
-        "own value than every other model (paired over takes, Holm over rows). "
-        "Metrics of the whole set of clips have one value without an interval, never bold. "
-        "No arrow: a model is beyond the recordings' own value, which is the goal."
-    )
 
 
 def _markdown(text: str) -> str:

@@ -78,6 +78,8 @@ _MOST_BYTES = 200 << 20
 _MOST_VALUE = 1e100
 _MOST_QUESTIONS = 100
 _MOST_PAIRS = 3_000_000
+_Raters = tuple[dict[str, tuple[int, int]], dict[str, str]]
+"""Numbers of failed attention checks and of all, and comments, by rater."""
 
 
 @dataclass(frozen=True)
@@ -240,20 +242,36 @@ def read_ratings(
 def _read(paths: Sequence[str | os.PathLike[str]], failed_checks: int | None) -> Answers:
     """Return votes as answers, or ratings as `Answers.ratings` alone."""
     files = _csv_files(paths)
+    raters: _Raters = ({}, {})
     _, header = next(_lines(files[0]), (1, []))
-    read = _read_votes if {"model_a", "model_b"} & {*header} else _read_sliders
-    found = read(files, failed_checks)
-    if not (found.kept or (found.ratings is not None and len(found.ratings.value))):
+    answers: list[Answer] = []
+    ratings = None
+    if {"model_a", "model_b"} & {*header}:
+        answers, notes = _read_votes(files, raters)
+    else:
+        ratings, notes = _read_sliders(files, raters)
+    failed, comments = raters
+    excluded = {
+        user: f"failed {wrong} of {counted(checks, 'attention check')}"
+        for user, (wrong, checks) in failed.items()
+        if failed_checks is not None and wrong >= failed_checks
+    }
+    kept = tuple(answer for answer in answers if answer.user not in excluded)
+    if ratings is not None:
+        passed = np.array([name not in excluded for name in ratings.raters], bool)
+        notes = [*_left_out(excluded), *notes]
+        ratings = replace(ratings.kept(passed[ratings.rater]), notes=tuple(notes))
+    if not (kept or (ratings is not None and len(ratings.value))):
         raise EvaluationError(
             f"{listed([str(path) for path in paths])}: no answer to analyse"
-            f"{''.join(f': {line}' for line in _left_out(found.excluded))}"
+            f"{''.join(f': {line}' for line in _left_out(excluded))}"
         )
-    return found
+    return Answers(kept, excluded, tuple(notes), bool(failed), comments, ratings)
 
 
-def _read_votes(files: Sequence[Path], failed_checks: int | None) -> Answers:
+def _read_votes(files: Sequence[Path], raters: _Raters) -> tuple[list[Answer], list[str]]:
+    """Return answers, and notes on lines that were left out or changed."""
     answers: list[Answer] = []
-    raters = _Raters()
     seen: dict[tuple[tuple[str, str], ...], Path] = {}
     sessions: dict[tuple[str, str], set[str]] = defaultdict(set)
     repeated = unsaid = 0
@@ -264,10 +282,11 @@ def _read_votes(files: Sequence[Path], failed_checks: int | None) -> Answers:
                 continue
             answer = _answer(row, where)
             answers.append(answer)
-            raters.add(answer.user, row, where)
+            _add_rater(raters, answer.user, row, where)
             sessions[answer.user, row.get("study", "")].add(row.get("finished", ""))
             unsaid += answer.score != 0 and row["is_strong"].lower() in _EMPTY
-    same = sum(answer.left == answer.right for answer in answers)
+    kept = [answer for answer in answers if answer.left != answer.right]
+    same = len(answers) - len(kept)
     twice = dict.fromkeys(printable(user) for (user, _), ends in sessions.items() if len(ends) > 1)
     notes = (
         (repeated, f"{counted(repeated, 'line')} found in two files were counted once"),
@@ -276,16 +295,13 @@ def _read_votes(files: Sequence[Path], failed_checks: int | None) -> Answers:
         (twice, f"{counted(len(twice), 'rater')} took part more than once: {listed([*twice])}; if "
          "these are two people, rename one"),
     )  # fmt: skip
-    excluded = raters.excluded(failed_checks)
-    kept = (a for a in answers if a.left != a.right and a.user not in excluded)
-    said = tuple(text for number, text in notes if number)
-    return Answers(tuple(kept), excluded, said, bool(raters.failed), raters.comments)
+    return kept, [text for number, text in notes if number]
 
 
-def _read_sliders(files: Sequence[Path], failed_checks: int | None) -> Answers:
+def _read_sliders(files: Sequence[Path], raters: _Raters) -> tuple[Ratings, list[str]]:
+    """Return ratings, and notes on lines that were left out."""
     columns: tuple[list[str], ...] = ([], [], [], [])
-    values, seconds = array("d"), array("d")
-    raters, empty = _Raters(), 0
+    values, seconds, empty = array("d"), array("d"), 0
     for path in files:
         for where, row in _rows(path, _rating_columns):
             if row["value"].lower() in _MISSING:
@@ -296,26 +312,30 @@ def _read_sliders(files: Sequence[Path], failed_checks: int | None) -> Answers:
                 column.append(sys.intern(name))
             values.append(_cell(row, "value", where))
             seconds.append(_cell(row, "seconds", where))
-            raters.add(names[1], row, where)
-    ratings = Ratings(
-        **_names_and_places(columns), value=np.array(values), seconds=np.array(seconds)
-    )
-    if (n := len(ratings.questions)) > _MOST_QUESTIONS:
+            _add_rater(raters, names[1], row, where)
+    units = _names_and_places(columns)
+    if (n := len(units["questions"])) > _MOST_QUESTIONS:
         raise EvaluationError(
             f"{path}: {n} different questions, and no study has more than {_MOST_QUESTIONS}; is it "
             "a column of free text?"
         )
-    excluded = raters.excluded(failed_checks)
+    ratings = Ratings(**units, value=np.array(values), seconds=np.array(seconds))
     table = np.stack([ratings.system, ratings.rater, ratings.clip, ratings.question, values])
     once = np.sort(np.unique(table, axis=1, return_index=True)[1])
     repeated = len(values) - len(once)
-    failed = [rater for rater, name in enumerate(ratings.raters) if name in excluded]
-    notes = _left_out(excluded)
-    notes += [f"{counted(empty, 'line')} without a value left out"] if empty else []
+    notes = [f"{counted(empty, 'line')} without a value left out"] if empty else []
     notes += [f"{counted(repeated, 'repeated line')} counted once"] if repeated else []
-    ratings = ratings.kept(once[~np.isin(ratings.rater[once], failed)])
-    ratings = replace(ratings, notes=tuple(notes))
-    return Answers((), excluded, ratings.notes, bool(raters.failed), raters.comments, ratings)
+    return ratings.kept(once), notes
+
+
+def _add_rater(raters: _Raters, user: str, row: dict[str, str], where: str) -> None:
+    """Add what a line says of its rater."""
+    failed, comments = raters
+    if row.get("checks_failed"):
+        count = _cell(row, "checks_failed", where), _cell(row, "checks", where)
+        failed[user] = max(failed.get(user, (0, 0)), count)
+    if comment := row.get("comment"):
+        comments[user] = comment[:MOST_COMMENT]
 
 
 def _names_and_places(columns: Sequence[Sequence[str]]) -> dict[str, Any]:
@@ -360,35 +380,6 @@ def _comparisons(ratings: Ratings) -> tuple[Answer, ...]:
             "systems are tested within raters and clips"
         )
     return tuple(found)
-
-
-class _Raters:
-    """Attention checks and comments of raters.
-
-    Attributes:
-        failed: {rater: (failed checks, checks)}.
-        comments: {rater: comment}.
-    """
-
-    def __init__(self) -> None:
-        self.failed: dict[str, tuple[int, int]] = {}
-        self.comments: dict[str, str] = {}
-
-    def add(self, user: str, row: dict[str, str], where: str) -> None:
-        """Add what a line says of its rater."""
-        if row.get("checks_failed"):
-            count = _cell(row, "checks_failed", where), _cell(row, "checks", where)
-            self.failed[user] = max(self.failed.get(user, (0, 0)), count)
-        if comment := row.get("comment"):
-            self.comments[user] = comment[:MOST_COMMENT]
-
-    def excluded(self, failed_checks: int | None) -> dict[str, str]:
-        """Return {rater: reason} of those who failed that many checks; None excludes nobody."""
-        return {
-            user: f"failed {wrong} of {counted(checks, 'attention check')}"
-            for user, (wrong, checks) in self.failed.items()
-            if failed_checks is not None and wrong >= failed_checks
-        }
 
 
 def _left_out(excluded: Mapping[str, str]) -> list[str]:
