@@ -14,9 +14,5 @@ __all__, __getattr__, __dir__ = attach(
         "write_study_report": "report",
         "raters_needed": "power",
     },
-    {
-        "CODES": "build",
-        "REASONS": "build",
-        "Votes": "analysis",
-    },
+    {"CODES": "build", "REASONS": "build", "Votes": "analysis"},
 )

@@ -250,11 +250,6 @@ class PairScore:
     p_holm: float
     p_tukey: float = math.nan
 
-    @property
-    def n(self) -> int:
-        """Number of answers."""
-        return sum(self.counts)
-
 
 @dataclass(frozen=True)
 class AlignmentScore(PairScore):

@@ -59,10 +59,7 @@ class BuiltStudy:
     page_bytes: int
 
 
-def build_study(
-    config: StudyConfig,
-    out: str | os.PathLike[str],
-) -> BuiltStudy:
+def build_study(config: StudyConfig, out: str | os.PathLike[str]) -> BuiltStudy:
     """Write the page of a study into a folder: index.html, and the clips in `clips/`.
 
     Names of clips do not tell raters the system. The page comes last, so that a folder with a page

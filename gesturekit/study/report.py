@@ -14,12 +14,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import matplotlib.figure
 import numpy as np
 from markupsafe import Markup
 
 from audio_features.atomic import write_text
-from gesturekit.evaluation.report.plots import new_figure, shortened, svg_text
+from gesturekit.evaluation.report.plots import draw_rows, name_rows, new_figure, shortened, svg_text
 from gesturekit.evaluation.report.text import templates
 from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.evaluation.statistics.intervals import LEVEL
@@ -276,19 +275,21 @@ def all_plots(found: StudyResult) -> dict[str, str]:
 
 
 def _points(estimates: dict[str, Estimate], middle: float | None, label: str) -> str:
+    """Return the SVG of values with their intervals, a row each."""
     figure = new_figure(0.9 + 0.36 * len(estimates))
     axes = figure.subplots()
-    for row, found in enumerate(estimates.values()):
-        axes.plot([found.low, found.high], [row, row], color=_INK, lw=2.4)
-        axes.plot([found.value], [row], "o", color=_INK, ms=8)
+    names = [shortened(name, 44) for name in estimates]
+    values = [(found.value, found.low, found.high) for found in estimates.values()]
+    draw_rows(axes, names, {0: _INK}, lambda row, _: values[row], 0.0)
     if middle is not None:
         axes.axvline(middle, color=_GREY, lw=1.2, ls="--")
     axes.set_xlabel(label)
     axes.grid(axis="x", color=_GREY, alpha=0.3)
-    return _svg(figure, [*estimates])
+    return svg_text(figure, _GREY, _GREY)
 
 
 def _bars(rows: dict[str, tuple[int, ...]]) -> str:
+    """Return the SVG of numbers of answers as shares of their row."""
     figure = new_figure(0.9 + 0.36 * len(rows))
     axes = figure.subplots()
     for row, counts in enumerate(rows.values()):
@@ -298,12 +299,5 @@ def _bars(rows: dict[str, tuple[int, ...]]) -> str:
     axes.axvline(50, color=_GREY, lw=1.2, ls="--")
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of answers, %")
-    return _svg(figure, [*rows])
-
-
-def _svg(figure: matplotlib.figure.Figure, names: Sequence[str]) -> str:
-    """Return the SVG of a figure with a row for each name."""
-    (axes,) = figure.axes
-    axes.set_yticks(range(len(names)), [shortened(name, 44) for name in names])
-    axes.set_ylim(len(names) - 0.5, -0.5)
+    name_rows(axes, [shortened(name, 44) for name in rows])
     return svg_text(figure, _GREY, _GREY)

@@ -157,7 +157,7 @@ def test_scores_of_two_raters_by_hand():
     assert list(1000 + points) == figures(best.elo)
     assert list(1000 - points[[0, 2, 1]]) == figures(other.elo)
     (pair,) = found.pairs
-    assert (pair.a, pair.b, pair.counts, pair.n, pair.raters) == ("b", "a", (2, 1, 2, 1, 1), 7, 2)
+    assert (pair.a, pair.b, pair.counts, pair.raters) == ("b", "a", (2, 1, 2, 1, 1), 2)
     assert pair.win_rate.value == 3 / 5 and pair.mean == pytest.approx(2 / 7)
     # Sums of deviations from the mean are -1 - 4/7 and 3 - 10/7: 11/7 each, over 7 answers.
     t = (2 / 7) / (2 * 11 / 49)

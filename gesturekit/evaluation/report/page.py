@@ -151,17 +151,16 @@ def _with_short_names(evaluation: Evaluation) -> Evaluation:
 
 
 def _warnings(evaluation: Evaluation) -> Iterator[str]:
+    """Yield warnings on intervals, and the notes of models, each once."""
     yield from (f"{warning}." for warning in text.interval_warnings(evaluation))
-
-    def notes(model: ModelResult) -> Iterator[str]:
-        if left_out := sum(item.what == "clip" for item in model.excluded):
-            yield f"left out: {counted(left_out, 'clip')}; the reasons are below"
-        yield from model.notes
-
-    several = len(evaluation.models) > 1
-    said = text.by_text((note, model.label) for model in evaluation.models for note in notes(model))
+    said: dict[str, list[str]] = {}
+    for model in evaluation.models:
+        left_out = sum(item.what == "clip" for item in model.excluded)
+        first = f"left out: {counted(left_out, 'clip')}; the reasons are below"
+        for note in ([first] if left_out else []) + model.notes:
+            said.setdefault(note, []).append(model.label)
     for note, labels in said.items():
-        yield f"{', '.join(labels)}: {note}." if several else f"{note}."
+        yield f"{', '.join(labels)}: {note}." if len(evaluation.models) > 1 else f"{note}."
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,6 @@ from gesturekit.evaluation.results import (
     Level,
     MetricAgreement,
     MetricResult,
-    ModelResult,
-    QuestionAgreement,
 )
 from gesturekit.evaluation.statistics.agreement import conclusion
 from gesturekit.evaluation.statistics.intervals import Takes
@@ -50,6 +48,7 @@ _LATEX = {
     "\u202f": r"\,",
 }
 _COMPARED = ("fps", "protocol")
+_PAGE = Path(__file__).parent / "page"
 
 
 ARROWS = {
@@ -180,29 +179,19 @@ def rows_by_group(evaluation: Evaluation) -> dict[str, list[Row]]:
 
 def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
     """Yield warnings about intervals that are missing, with the data that would give them."""
-
-    def warning(model: ModelResult) -> str:
+    few: dict[tuple[str, int], list[str]] = {}
+    for model in evaluation.models:
         takes = Takes.of([clip.pair for clip in model.clips])
-        if takes.count >= takes.needed:
-            return ""
-        return (
-            f"the clips come from {takes.in_words}: no intervals and no tests. "
+        if takes.count < takes.needed:
+            few.setdefault((takes.in_words, takes.needed), []).append(model.label)
+    for (takes_in_words, needed), labels in few.items():
+        named = "" if len(few) == 1 else f"{', '.join(labels)}: "
+        yield (
+            f"{named}the clips come from {takes_in_words}: no intervals and no tests. "
             "Differences between takes (recording sessions) cannot be estimated from fewer than "
-            f"{takes.needed}; more clips or samples (seeds) of the same takes do not change that. "
-            f"Hold out {takes.needed} or more takes"
+            f"{needed}; more clips or samples (seeds) of the same takes do not change that. "
+            f"Hold out {needed} or more takes"
         )
-
-    said = by_text((text, model.label) for model in evaluation.models if (text := warning(model)))
-    for text, labels in said.items():
-        yield text if len(said) == 1 else f"{', '.join(labels)}: {text}"
-
-
-def by_text(pairs: Iterator[tuple[str, str]]) -> dict[str, list[str]]:
-    """Return {text: labels of the models that it is said of}, in order."""
-    said: dict[str, list[str]] = {}
-    for text, label in pairs:
-        said.setdefault(text, []).append(label)
-    return said
 
 
 def headline_lines(evaluation: Evaluation) -> list[str]:
@@ -297,35 +286,13 @@ def summary_line(evaluation: Evaluation, report: Path | None) -> str:
 
 def agreement_lines(evaluation: Evaluation) -> list[str]:
     """Return the agreement with a study as lines; none without a study."""
-    agreement = evaluation.agreement
-    questions = () if agreement is None else agreement.questions
-    return [line for question in questions for line in _agreement(question)]
-
-
-def _agreement(found: QuestionAgreement) -> Iterator[str]:
-    """Yield the table of one question of a study, after an empty line."""
-    order = sorted(found.scores, key=lambda name: -found.scores[name])
-    scores = ", ".join(f"{printable(name)} {found.scores[name]:+.3g}" for name in order)
-    question = f" on {printable(found.question)}" if found.question else ""
-    yield from (
-        "",
-        f"Agreement with people{question}: {counted(found.raters, 'rater')}, "
-        f"{counted(found.clips, 'clip')}, {counted(found.ratings, 'rating')}.",
-        f"People's scores: {scores}.",
-    )
-    if not found.metrics:
-        yield "No metric can be compared: the values, or people's scores, are all equal."
-        return
-    for n, chance in sorted({(one.n, one.chance) for one in found.metrics}, reverse=True):
-        yield (
-            f"Chance, {n} systems: 95 % of random orders have a tau between {-chance:+.2f} and "
-            f"{chance:+.2f}; pairwise accuracy 50 %."
-            + ("" if chance < 1 else " These are too few systems: any order may be chance.")
-        )
-    yield conclusion(found)
-    head = ["  Metric", "Kendall's tau [95 %]", "without recordings", "p (Holm)"]
-    head += ["Spearman's rho", "pairs in order", "systems"]
-    yield from aligned([head, *map(_agreement_row, found.metrics)])
+    if evaluation.agreement is None or not evaluation.agreement.questions:
+        return []
+    environment = templates(_PAGE, autoescape=False)
+    environment.globals |= {"counted": counted, "conclusion": conclusion, "aligned": aligned}
+    environment.filters |= {"printable": printable, "row": _agreement_row}
+    template = environment.get_template("agreement.txt")
+    return template.render(questions=evaluation.agreement.questions).rstrip("\n").split("\n")
 
 
 def _agreement_row(metric: MetricAgreement) -> list[str]:
@@ -414,7 +381,7 @@ def latex(evaluation: Evaluation) -> str:
 
 def _table(evaluation: Evaluation, name: str, escaped: Callable[[str], str]) -> str:
     """Return the table as a template writes it; names, and values of LaTeX, are escaped."""
-    environment = templates(Path(__file__).parent / "page", autoescape=False)
+    environment = templates(_PAGE, autoescape=False)
     environment.filters["escaped"] = escaped
     groups = rows_by_group(evaluation)
     return environment.get_template(name).render(evaluation=evaluation, groups=groups, latex=_latex)

@@ -19,12 +19,7 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import (
-    Agreement,
-    MetricAgreement,
-    ModelResult,
-    QuestionAgreement,
-)
+from gesturekit.evaluation.results import Agreement, MetricAgreement, ModelResult, QuestionAgreement
 from gesturekit.evaluation.statistics.answers import Ratings
 from gesturekit.evaluation.statistics.intervals import FEW, LEVEL, holm
 from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
@@ -143,12 +138,7 @@ def _of_question(
 
 
 def agreement_of(
-    key: str,
-    metric: np.ndarray,
-    drawn: np.ndarray,
-    scores: Scores,
-    kept: np.ndarray,
-    seed: int = 0,
+    key: str, metric: np.ndarray, drawn: np.ndarray, scores: Scores, kept: np.ndarray, seed: int = 0
 ) -> MetricAgreement:
     """Return the agreement of one metric with people, whose `p_holm` is not yet adjusted.
 

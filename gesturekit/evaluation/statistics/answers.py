@@ -390,19 +390,16 @@ def _left_out(excluded: Mapping[str, str]) -> list[str]:
 
 def _csv_files(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
     """Return each CSV file once, also those in folders."""
-    inside = {
-        path: sorted(path.glob("*.csv")) if path.is_dir() else [path] for path in map(Path, paths)
-    }
-    empty = [str(path) for path, files in inside.items() if not files]
-    if empty or not inside:
+    found = [
+        (path, sorted(path.glob("*.csv")) if path.is_dir() else [path]) for path in map(Path, paths)
+    ]
+    empty = [str(path) for path, files in found if not files]
+    if empty or not found:
         raise EvaluationError(
             f"{listed(empty) or 'no answers to read'}: no .csv file; name CSV files, or a folder "
             "of them"
         )
-    files: dict[str, Path] = {}
-    for file in (file for some in inside.values() for file in some):
-        files.setdefault(os.path.realpath(file), file)
-    return list(files.values())
+    return list({os.path.realpath(file): file for _, files in found for file in files}.values())
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:

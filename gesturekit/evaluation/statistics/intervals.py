@@ -191,17 +191,13 @@ def bounds_about(
 
 def scaled_like(interval: Interval, value: float, within: tuple[float, float]) -> Interval:
     """Return an interval that is as wide about another value, on the scale of the metric."""
-    low, high = interval.low, interval.high
-    if low is None or high is None or not within[0] < value < within[1]:
+    if interval.low is None or interval.high is None or not within[0] < value < within[1]:
         return replace(interval, value=value, low=None, high=None)
-    low, high = _scale(low, within), _scale(high, within)
     shift = _scale(value, within) - _scale(interval.value, within)
-    return replace(
-        interval,
-        value=value,
-        low=_unscale(low + shift, within),
-        high=_unscale(high + shift, within),
+    low, high = (
+        _unscale(_scale(bound, within) + shift, within) for bound in (interval.low, interval.high)
     )
+    return replace(interval, value=value, low=low, high=high)
 
 
 def _scale(value: np.ndarray | float, within: tuple[float, float]) -> np.ndarray:

@@ -238,19 +238,19 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     seeds = "" if math.isnan(share) else (
         f"; two samples of one speech differ {share:.0f} % as much as two recordings do"
     )  # fmt: skip
-    if value < thresholds.COPIED:
-        return "no", f"Mostly copied from training motion{seeds}."
-    if copied:
-        return "no", f"Mostly copied from training motion: {' and '.join(copied)}{seeds}."
-    if value < thresholds.NEAR:
-        text = "Nearer to training motion than other recordings are: partly copied, or less lively"
-        return "no", f"{text}{seeds}."
-    if _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED:
-        return "partly", f"New, but occasionally copied from training motion{seeds}."
-    text = "New: as far from training motion as other recordings"
-    if _is_above_ceiling(result):
-        text = "New: farther from training motion than other recordings, as odd motion is too"
-    return "yes", f"{text}{seeds}."
+    copies, new = "copied from training motion", "training motion than other recordings"
+    rules = (
+        (value < thresholds.COPIED, "no", f"Mostly {copies}"),
+        (copied, "no", f"Mostly {copies}: {' and '.join(copied)}"),
+        (value < thresholds.NEAR, "no", f"Nearer to {new} are: partly copied, or less lively"),
+        (
+            _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED,
+            *("partly", f"New, but occasionally {copies}"),
+        ),
+        (_is_above_ceiling(result), "yes", f"New: farther from {new}, as odd motion is too"),
+        (True, "yes", "New: as far from training motion as other recordings"),
+    )
+    return next((state, f"{text}{seeds}.") for holds, state, text in rules if holds)
 
 
 _RATIO_WORDS = {
@@ -361,19 +361,14 @@ def _timing_words(metrics: Results) -> Iterator[str]:
 def _origin_words(metrics: Results) -> Iterator[str]:
     """Yield words on copies of recordings and on the likeness to the speaker."""
     median = _ratio(metrics, "copying")
+    is_small = _ratio(metrics, "reach") < thresholds.ALIKE[0]  # and therefore near to any motion
     if median < thresholds.COPIED:
         yield "is mostly copied from recordings"
-    elif _ratio(metrics, "reach") < thresholds.ALIKE[0]:
-        pass  # small motion is near to any
-    elif median < thresholds.NEAR:
+    elif median < thresholds.NEAR and not is_small:
         yield "is partly copied from recordings"
-    elif _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED:
+    elif _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED and not is_small:
         yield "is occasionally copied from recordings"
-    words = {
-        "yes": "moves like the speaker",
-        "partly": "moves only somewhat like the speaker",
-        "no": "does not move like the speaker",
-    }
     state, _ = _likeness(metrics)
-    if state in words:
-        yield words[state]
+    if state in ("yes", "partly", "no"):
+        does = {"yes": "moves", "partly": "moves only somewhat", "no": "does not move"}[state]
+        yield f"{does} like the speaker"

@@ -212,12 +212,10 @@ def scores_of(ratings: Ratings, kept: np.ndarray, systems: Sequence[str], seed: 
             (weights @ sums) / (weights @ counts)
             for weights in resampled_weights(rater, clip, RESAMPLES, seed, len(values))
         ]
-    pairs = [np.isin(system, pair) for pair in combinations(range(len(names)), 2)]
-    first = [pair[0] for pair in combinations(range(len(names)), 2)]
-    p = [
-        mean_test(values[pair], rater[pair], clip[pair], system[pair] == one)
-        for pair, one in zip(pairs, first, strict=True)
-    ]
+    p = []
+    for one, other in combinations(range(len(names)), 2):
+        rows = (system == one) | (system == other)
+        p.append(mean_test(values[rows], rater[rows], clip[rows], system[rows] == one))
     differ = np.zeros((len(names), len(names)), bool)
     differ[np.triu_indices(len(names), 1)] = holm(p) < 1.0 - LEVEL
     return Scores(
