@@ -70,8 +70,8 @@ def _on_preference(preference: Preference) -> Iterator[str]:
         elif pair.mean > 0:
             yield f"{pair.a} is preferred to {pair.b}: win rate {_percent(rate)}, {p}."
         else:
-            rate = Estimate(1 - rate.value, 1 - rate.high, 1 - rate.low)
-            yield f"{pair.b} is preferred to {pair.a}: win rate {_percent(rate)}, {p}."
+            other = _percent(Estimate(1 - rate.value, 1 - rate.high, 1 - rate.low))
+            yield f"{pair.b} is preferred to {pair.a}: win rate {other}, {p}."
     if unclear:
         yield (
             f"No difference was found between {listed(unclear, 12)}. This does not show that they "
@@ -81,18 +81,12 @@ def _on_preference(preference: Preference) -> Iterator[str]:
 
 def _on_alignment(found: StudyResult) -> Iterator[str]:
     for score in found.alignment:
-        rate = f"{_percent(score.score)}, {p_text(score.p_holm)}"
+        rate = f"(alignment {_percent(score.score)}, {p_text(score.p_holm)}"
+        said = f"raters did not tell its motion from that of other speech {rate}; chance 50 %)."
         if is_significant(score.p_holm):
             fits = "better" if score.mean > 0 else "worse"
-            yield (
-                f"{score.a}: its motion fits its speech {fits} than its motion of other speech "
-                f"(alignment {rate})."
-            )
-        else:
-            yield (
-                f"{score.a}: raters did not tell its motion from that of other speech "
-                f"(alignment {rate}; chance 50 %)."
-            )
+            said = f"its motion fits its speech {fits} than its motion of other speech {rate})."
+        yield f"{score.a}: {said}"
     different = [
         f"{a} and {b} ({p_text(p)})" for a, b, _, p in found.differences if is_significant(p)
     ]

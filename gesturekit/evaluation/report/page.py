@@ -220,17 +220,17 @@ def _by_recording(
 
     Without samples there are no rows; see eq. 18.
     """
-    models = {i: m for i, m in enumerate(evaluation.models) if m.by_recording}
-    tables = [values for model in models.values() for values in model.by_recording.values()]
-    sampled = any(interval.n > 1 for values in tables for interval in values.values())
+    rows = [
+        (stem, i, values)
+        for i, model in enumerate(evaluation.models)
+        for stem, values in model.by_recording.items()
+    ]
+    sampled = any(interval.n > 1 for _, _, values in rows for interval in values.values())
     if not sampled and evaluation.protocol != "multires":
         return [], []
     patches = [d for d in evaluation.definitions() if d.group == PATCHES]
-    stems = sorted({stem for model in models.values() for stem in model.by_recording})
-    return (
-        [d for d in patches if any(d.key in values for values in tables)],
-        [(s, i, model.by_recording.get(s, {})) for s in stems for i, model in models.items()],
-    )
+    known = [d for d in patches if any(d.key in values for _, _, values in rows)]
+    return known, sorted(rows, key=lambda row: row[:2])
 
 
 def _best_and_worst(evaluation: Evaluation, body: str | None) -> list[dict[str, Any]]:

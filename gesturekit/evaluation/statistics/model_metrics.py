@@ -98,7 +98,13 @@ def metric_results(
         few = [key for key in found if DEFINITIONS[key].group == PATCHES]
         found |= {key: replace(found[key], informative=False) for key in few}
     if "in_time" in found:
-        found["in_time"] = with_timing_levels(found["in_time"], clips)
+        own, other = (_by_take(clips, key) for key in ("in_time", OTHER_SOUND))
+        floors = [level_of(OTHER_UTTERANCE, other)] if len(other) else []
+        found["in_time"] = replace(
+            found["in_time"],
+            ceiling=level_of(OWN, own) if len(own) else None,
+            floors=(*floors, Level(MEAN_POSE, 0.0, None, 0)),
+        )
     return found if likeness is None else {**found, "likeness": likeness}
 
 
@@ -226,15 +232,6 @@ def _differ(ceiling: Level, floor: Level) -> bool:
     return bool(gap > t.ppf(LEVEL, free) * np.sqrt(variance * means))
 
 
-def with_timing_levels(result: MetricResult, clips: Sequence[ClipResult]) -> MetricResult:
-    """Return the timing of a model with the speaker's own as ceiling, and its floors."""
-    own = _by_take(clips, "in_time")
-    other = _by_take(clips, OTHER_SOUND)
-    floors = [level_of(OTHER_UTTERANCE, other)] if len(other) else []
-    ceiling = level_of(OWN, own) if len(own) else None
-    return replace(result, ceiling=ceiling, floors=(*floors, Level(MEAN_POSE, 0.0, None, 0)))
-
-
 def _by_take(clips: Sequence[ClipResult], key: str, *, generated: bool = False) -> np.ndarray:
     """Return the means by take of a metric of the recordings (or clips) that have it."""
     sides = [(clip.pair, clip.metrics if generated else clip.recording) for clip in clips]
@@ -244,23 +241,21 @@ def _by_take(clips: Sequence[ClipResult], key: str, *, generated: bool = False) 
     return Takes.of([pair for pair, _ in known]).means([value for _, value in known])
 
 
-def add_speech_blind_floors(models: Sequence[ModelResult]) -> None:
-    """Add the timing of models that ignore the speech to the floors of the other models."""
-    floors = {
+def add_floors(models: Sequence[ModelResult]) -> None:
+    """Add the timing of models that ignore the speech to the floors of the other models.
+
+    Timing and likeness whose ceiling is no higher than a floor are marked as not informative.
+    """
+    blind = {
         model.label: level_of(model.label, _by_take(model.clips, "in_time", generated=True))
         for model in models
         if model.label in _BLIND and "in_time" in model.metrics
     }
     for model in models:
-        timing = model.metrics.get("in_time")
-        if timing is not None:
-            others = [floor for label, floor in floors.items() if label != model.label]
-            model.metrics["in_time"] = replace(timing, floors=(*timing.floors, *others))
-
-
-def mark_reached_floors(models: Sequence[ModelResult]) -> None:
-    """Mark timing and likeness whose ceiling is no higher than a floor as not informative."""
-    for model in models:
         for key in model.metrics.keys() & {"in_time", "likeness"}:
-            if reached_floor(model.metrics[key]) is not None:
-                model.metrics[key] = replace(model.metrics[key], informative=False)
+            result = model.metrics[key]
+            if key == "in_time":
+                others = [floor for label, floor in blind.items() if label != model.label]
+                result = replace(result, floors=(*result.floors, *others))
+            known = result.informative and reached_floor(result) is None
+            model.metrics[key] = replace(result, informative=known)

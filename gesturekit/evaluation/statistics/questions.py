@@ -25,10 +25,9 @@ from gesturekit.evaluation.statistics import thresholds
 from gesturekit.evaluation.statistics.likeness import ASPECTS, aspects_of
 from gesturekit.evaluation.statistics.model_metrics import (
     above_chance,
-    add_speech_blind_floors,
+    add_floors,
     least_likeness,
     level_text,
-    mark_reached_floors,
     on_its_floor,
     reached_floor,
 )
@@ -46,8 +45,7 @@ Results = Mapping[str, MetricResult]
 
 def answer_questions(models: Sequence[ModelResult]) -> None:
     """Give each model answers and a verdict; models that ignore speech are floors of timing."""
-    add_speech_blind_floors(models)
-    mark_reached_floors(models)
+    add_floors(models)
     for model in models:
         model.answers = answers_of(model.clips, model.metrics)
         model.verdict = verdict(model.metrics)
@@ -123,29 +121,26 @@ def defects(metrics: Results) -> str:
     Rotations that are not so far beyond the recordings' range, in motion that is nowhere near the
     recorded one, may be those of another speaker as well.
     """
-    beyond, feet, bones = (
-        _value(metrics, key) for key in ("joint_limits", "feet_above_floor", "bone_length_change")
-    )
-    more, shaken = beyond - _own(metrics, "joint_limits"), _ratio(metrics, "jerk_genea")
-    tests = {
-        f"{beyond:.0f} % of joint rotations are beyond the recordings' range": (
-            more > thresholds.BEYOND_LIMITS
+    keys = ("joint_limits", "feet_above_floor", "bone_length_change")
+    beyond, feet, bones = (_value(metrics, key) for key in keys)
+    own_beyond, own_feet, own_bones = (_own(metrics, key) for key in keys)
+    shaken = _ratio(metrics, "jerk_genea")
+    limits = f"{beyond:.0f} % of joint rotations are beyond the recordings' range"
+    rules = [
+        (beyond - own_beyond > thresholds.BEYOND_LIMITS, limits),
+        (feet - 2 * own_feet > thresholds.FLOATING, f"the feet are {feet:.0f} mm above the floor"),
+        (
+            bones - 2 * own_bones > thresholds.STRETCHED,
+            f"bones change their length by {bones:.0f} %",
         ),
-        f"the feet are {feet:.0f} mm above the floor": (
-            feet - 2.0 * _own(metrics, "feet_above_floor") > thresholds.FLOATING
-        ),
-        f"bones change their length by {bones:.0f} %": (
-            bones - 2.0 * _own(metrics, "bone_length_change") > thresholds.STRETCHED
-        ),
-        f"it shakes ({shaken:.0f} times the recordings' jerk)": shaken > thresholds.SHAKEN,
-    }
-    what = "broken" if any(tests.values()) else "broken, or another speaker's"
-    limits, *_ = tests
+        (shaken > thresholds.SHAKEN, f"it shakes ({shaken:.0f} times the recordings' jerk)"),
+    ]
+    what = "broken" if any(holds for holds, _ in rules) else "broken, or another speaker's"
     alien = _value(metrics, "one_nn") >= thresholds.SEPARABLE > _own(metrics, "one_nn")
     covered = thresholds.COVERED * _own(metrics, "within_reach")
     if alien and _value(metrics, "within_reach") < covered:
-        tests[limits] = more > thresholds.FAR_BEYOND_LIMITS
-    found = [text for text, is_broken in tests.items() if is_broken]
+        rules[0] = (beyond - own_beyond > thresholds.FAR_BEYOND_LIMITS, limits)
+    found = [text for holds, text in rules if holds]
     return f"{what}: {', '.join(found)}" if found else ""
 
 
@@ -158,11 +153,13 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
         if no_room := _no_room(result):
             return _cannot_be_answered(no_room)
         seconds = sum({c.pair.of: c.seconds for c in clips}.values())
-        state, said = ("partly", "In") if _above_chance(metrics) else (UNANSWERABLE, "Not in")
-        return state, (
-            f"{said} time with the speech more than by chance; {seconds:.0f} s of speech are too "
-            "few, or move the speaker's arms too little, to say whether as much as the speaker."
+        few = (
+            f"{seconds:.0f} s of speech are too few, or move the speaker's arms too little, to say "
+            "whether as much as the speaker."
         )
+        if _above_chance(metrics):
+            return "partly", f"In time with the speech more than by chance; {few}"
+        return UNANSWERABLE, f"Not in time with the speech more than by chance; {few}"
     low = result.interval.low
     share = result.interval.value / result.recording
     if low is None:
@@ -238,19 +235,19 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     seeds = "" if math.isnan(share) else (
         f"; two samples of one speech differ {share:.0f} % as much as two recordings do"
     )  # fmt: skip
-    copies, new = "copied from training motion", "training motion than other recordings"
-    rules = (
-        (value < thresholds.COPIED, "no", f"Mostly {copies}"),
-        (copied, "no", f"Mostly {copies}: {' and '.join(copied)}"),
-        (value < thresholds.NEAR, "no", f"Nearer to {new} are: partly copied, or less lively"),
-        (
-            _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED,
-            *("partly", f"New, but occasionally {copies}"),
-        ),
-        (_is_above_ceiling(result), "yes", f"New: farther from {new}, as odd motion is too"),
-        (True, "yes", "New: as far from training motion as other recordings"),
-    )
-    return next((state, f"{text}{seeds}.") for holds, state, text in rules if holds)
+    if value < thresholds.COPIED:
+        return "no", f"Mostly copied from training motion{seeds}."
+    if copied:
+        return "no", f"Mostly copied from training motion: {' and '.join(copied)}{seeds}."
+    if value < thresholds.NEAR:
+        text = "Nearer to training motion than other recordings are: partly copied, or less lively"
+        return "no", f"{text}{seeds}."
+    if _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED:
+        return "partly", f"New, but occasionally copied from training motion{seeds}."
+    text = "New: as far from training motion as other recordings"
+    if _is_above_ceiling(result):
+        text = "New: farther from training motion than other recordings, as odd motion is too"
+    return "yes", f"{text}{seeds}."
 
 
 _RATIO_WORDS = {
@@ -353,9 +350,11 @@ def _timing_words(metrics: Results) -> Iterator[str]:
     else:
         limits = (thresholds.LOOSELY_IN_TIME, thresholds.IN_TIME)
         share = (sync.interval.value - chance) / own
-        yield ("is not", "is loosely", "is")[bisect_right(limits, share)] + (
-            " in time with the speech"
-        )
+        yield (
+            "is not in time with the speech",
+            "is loosely in time with the speech",
+            "is in time with the speech",
+        )[bisect_right(limits, share)]
 
 
 def _origin_words(metrics: Results) -> Iterator[str]:
@@ -369,6 +368,10 @@ def _origin_words(metrics: Results) -> Iterator[str]:
     elif _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED and not is_small:
         yield "is occasionally copied from recordings"
     state, _ = _likeness(metrics)
-    if state in ("yes", "partly", "no"):
-        does = {"yes": "moves", "partly": "moves only somewhat", "no": "does not move"}[state]
-        yield f"{does} like the speaker"
+    words = {
+        "yes": "moves like the speaker",
+        "partly": "moves only somewhat like the speaker",
+        "no": "does not move like the speaker",
+    }
+    if state in words:
+        yield words[state]
