@@ -27,7 +27,7 @@ import numpy as np
 
 from gesturekit.evaluation.results import MetricAgreement
 from gesturekit.evaluation.statistics.agreement import agreement_of, chance_range
-from gesturekit.evaluation.statistics.ratings import Ratings
+from gesturekit.evaluation.statistics.answers import Ratings
 from gesturekit.evaluation.statistics.scores import RESAMPLES, scores_of
 
 LEVEL, SYSTEMS, RATERS, CLIPS, INTERACTION, RESIDUAL = 45.0, 14.0, 12.0, 6.0, 7.0, 16.0

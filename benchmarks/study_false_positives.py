@@ -21,9 +21,8 @@ from scipy.stats import norm
 
 from gesturekit.evaluation import Answer
 from gesturekit.study import raters_needed
-from gesturekit.study.analysis.preference import analyse_preference, compare
-from gesturekit.study.analysis.significance import Design, Expected, power_of
-from gesturekit.study.analysis.votes import Votes
+from gesturekit.study.analysis import Votes, analyse_preference, compare
+from gesturekit.study.power import Expected, power_of
 
 DESIGNS = (  # systems, raters, clips, share of clips and of raters in the variance of answers
     (2, 50, 12, 0.0, 0.0),
@@ -71,7 +70,7 @@ def study(
 
 
 def different(
-    rng: np.random.Generator, expected: Expected, raters: int, design: Design
+    rng: np.random.Generator, expected: Expected, raters: int, answers: int, clips: int
 ) -> list[Answer]:
     """Draw answers of a study in which "a" is better: normal preferences, cut at thresholds."""
     mean, slight, clear = expected.thresholds()
@@ -79,31 +78,31 @@ def different(
     value = mean + norm.isf((np.arange(10_000) + 0.5) / 10_000)
     kept = np.corrcoef(value, np.sign(value) * np.digitize(abs(value), (slight, clear)))[0, 1] ** 2
     of_raters, of_clips = expected.rater_share / kept, expected.clip_share / kept
-    rater, clip = rng.standard_normal(raters), rng.standard_normal(design.clips)
-    answers = []
+    rater, clip = rng.standard_normal(raters), rng.standard_normal(clips)
+    found = []
     for r in range(raters):
-        for c in rng.permutation(design.clips)[: design.answers]:
+        for c in rng.permutation(clips)[:answers]:
             preference = mean + np.sqrt(of_raters) * rater[r] + np.sqrt(of_clips) * clip[c]
             preference += np.sqrt(1 - of_raters - of_clips) * rng.standard_normal()
             size = int(np.digitize(abs(preference), (slight, clear)))
-            answers.append(Answer(f"r{r}", f"c{c}", "a", "b", int(np.sign(preference)) * size))
-    return answers
+            found.append(Answer(f"r{r}", f"c{c}", "a", "b", int(np.sign(preference)) * size))
+    return found
 
 
 def print_power(rng: np.random.Generator, studies: int) -> None:
     print("win rate  ties  clear  raters' clips' share  answers  clips  raters  power  simulated")
     for expected, answers, clips in POWER:
-        design = Design(answers, clips)
-        raters = raters_needed(expected, design)
+        raters = raters_needed(expected, answers, clips)
         assert raters is not None
         found = [
-            compare(Votes.of(different(rng, expected, raters, design)), 0, 1).p < 0.05
+            compare(Votes.of(different(rng, expected, raters, answers, clips)), 0, 1).p < 0.05
             for _ in range(studies)
         ]
+        power = power_of(expected, raters, answers, clips)
         print(
             f"{expected.win_rate:>8}  {expected.ties:>4}  {expected.clear:>5}"
             f"  {expected.rater_share:>7} {expected.clip_share:>12}  {answers:>7}  {clips:>5}"
-            f"  {raters:>6}  {power_of(expected, raters, design):>5.3f}  {np.mean(found):>9.3f}",
+            f"  {raters:>6}  {power:>5.3f}  {np.mean(found):>9.3f}",
             flush=True,
         )
 

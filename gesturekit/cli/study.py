@@ -11,7 +11,7 @@ from gesturekit.cli.options import SEED, existing_option, is_left
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
-    from gesturekit.study.analysis.result import StudyResult
+    from gesturekit.study.analysis import StudyResult
 
 
 @click.group(
@@ -113,12 +113,7 @@ def power(
 ) -> None:
     """Print how many raters and comparisons are needed to detect a difference by `study
     analyse`."""
-    from gesturekit.study.analysis.significance import (
-        Design,
-        Expected,
-        clips_needed,
-        raters_needed,
-    )
+    from gesturekit.study.power import Expected, clips_needed, raters_needed
 
     expected = Expected(win_rate, ties, clear, rater_share, clip_share)
     pairs = systems * (systems - 1) // 2
@@ -130,11 +125,11 @@ def power(
     )
     click.echo("comparisons a rater   of each pair   raters   answers in all")
     for answers in (n for n in (1, 2, 3, 6, 12, 24) if n <= clips):
-        raters = raters_needed(expected, Design(answers, clips, pairs), power)
+        raters = raters_needed(expected, answers, clips, pairs, power)
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
     click.echo("\nRaters are those who pass the attention checks: recruit about 10 % more.")
-    least = clips_needed(expected, Design(1, clips, pairs), power)
+    least = clips_needed(expected, 1, pairs, power)
     if least is None or least > clips:
         click.echo(
             f"With {counted(clips, 'segment')} no number of raters is enough (-), as findings "
@@ -200,7 +195,7 @@ def analyse(
     if out is not None:
         write_study_report(result, out)
     if json_out is not None:
-        from gesturekit.study.analysis.report import write_json
+        from gesturekit.study.report import write_json
 
         write_json(result, json_out)
     _print(result)
@@ -209,7 +204,7 @@ def analyse(
 
 
 def _print(result: StudyResult) -> None:
-    from gesturekit.study.analysis.result import conclusions, reservations
+    from gesturekit.study.report import conclusions, reservations
     from gesturekit.wording import printable
 
     for line in conclusions(result):

@@ -37,7 +37,7 @@ _PUBLIC = {
     "pairs": "Items",
     "report.page": "write_report",
     "results": "Evaluation",
-    "statistics.ratings": "read_answers read_ratings",
+    "statistics.answers": "read_answers read_ratings",
 }
 """Names of the documented interface by module."""
 _INTERNAL = {
@@ -46,8 +46,7 @@ _INTERNAL = {
     "measuring.clips": "Clip load_clip read_semantic",
     "metrics.physical": "derivative low_passed",
     "pairs": "Excluded ItemInterval Pair find_pairs",
-    "report.rows": "interval_warnings",
-    "report.text": "headline_lines",
+    "report.text": "headline_lines interval_warnings",
     "results": "ClipResult Interval Level MetricResult ModelResult QuestionAnswer",
     "statistics.answers": "Answer Answers GENEA_COLUMNS",
     "statistics.intervals": (

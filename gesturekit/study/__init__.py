@@ -10,13 +10,9 @@ __all__, __getattr__, __dir__ = attach(
     {
         "StudyConfig": "config",
         "build_study": "build",
-        "analyse_study": "analysis.result",
-        "write_study_report": "analysis.report",
-        "raters_needed": "analysis.significance",
+        "analyse_study": "analysis",
+        "write_study_report": "report",
+        "raters_needed": "power",
     },
-    {
-        "CODES": "build",
-        "REASONS": "build",
-        "Votes": "analysis.votes",
-    },
+    {"CODES": "build", "REASONS": "build", "Votes": "analysis"},
 )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import html
 import json
+import math
 import os
 import re
 import shutil
+import tomllib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,77 +20,25 @@ from audio_features.atomic import atomic_write, write_text
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.statistics.answers import MISMATCHED, MOST_COMMENT
 from gesturekit.formats.sources import load
-from gesturekit.motion import Motion
 from gesturekit.progress import Progress
-from gesturekit.study.clips import Material, Segment, find_clips
-from gesturekit.study.config import StudyConfig, introduction
+from gesturekit.study.clips import Segment, find_clips
+from gesturekit.study.config import StudyConfig
 from gesturekit.study.lists import Comparison, make_lists, mismatches
 from gesturekit.viewer import player_data, player_shell
 from gesturekit.viewer.pages import bundled_script, script_json, write_page
 from gesturekit.wording import counted
 
-CODES = (
-    "LeftClearlyBetter",
-    "LeftSlightlyBetter",
-    "TheyAreEqual",
-    "RightSlightlyBetter",
-    "RightClearlyBetter",
-)
+_HERE = Path(__file__).parent
+_TEXTS = tomllib.loads((_HERE / "page" / "texts.toml").read_text(encoding="utf-8"))
+CODES: tuple[str, ...] = tuple(_TEXTS["codes"])
 """GENEA's codes of the five answers."""
-_PREFERENCE = (
-    "Clear preference for left",
-    "Slight preference for left",
-    "No preference",
-    "Slight preference for right",
-    "Clear preference for right",
-)
-_STYLE = (
-    "Clearly the left one",
-    "Probably the left one",
-    "I can not tell",
-    "Probably the right one",
-    "Clearly the right one",
-)
-_SCALE = ("Bad", "Poor", "Fair", "Good", "Excellent")
-_QUESTIONS = {
-    "preference speech": "Which character's motion do you prefer, taking into account both how "
-    "natural-looking the motion is and how well it matches the speech rhythm and intonation?",
-    "preference music": "Which character's dancing motion do you prefer, taking into account both "
-    "how natural-looking the motion is and how well it matches the music?",
-    "preference silent": "Which character's motion do you prefer?",
-    "rating speech": "How natural is the motion of each character, taking into account both how it "
-    "looks and how well it matches the speech?",
-    "rating music": "How natural is the dancing of each character, taking into account both how it "
-    "looks and how well it matches the music?",
-    "rating silent": "How natural does the motion of each character look?",
-    "style silent": "Based on the body movements alone (disregarding the face), which of the two "
-    "clips looks most like *{style}*?",
-    "mismatch speech": "In which of the two clips do the movements match the speech better?",
-    "mismatch music": "In which of the two clips do the movements match the music better?",
-}
-"""Question by design and sound: the diffusion paper's and, for mismatched motion, GENEA's."""
-REASONS = {
-    "none": {},
-    "realism": {
-        "MotionSmoothness": "Smoothness of the motion",
-        "AmountIntensityOfMotion": "Amount or intensity of motion",
-        "RecognisableGestures": "Recognisable gestures",
-        "UnrealisticMotion": "Unrealistic motion in the other clip",
-        "MotionOther": "Something else",
-    },
-    "speech": {
-        "FitRhythmTiming": "Fits the rhythm and timing",
-        "EmphasizeCorrectParts": "Emphasises the right parts",
-        "BetterMatchContentMeaning": "Matches the content or meaning",
-        "BetterFitForEmotion": "Fits the emotion",
-        "SpeechOther": "Something else",
-    },
-}
-"""GENEA's codes of reasons, with our words."""
+REASONS: dict[str, dict[str, str]] = _TEXTS["reasons"]
+"""GENEA's codes of reasons, with our words, by `StudyConfig.reasons`."""
 _BODY = "body"
 """Script of the mesh of all clips' bodies; as `SHARED` in page/clip.js."""
-_HERE = Path(__file__).parent
 _BUNDLE = _HERE / "study.bundle.js"
+Names = dict[tuple[str, str, str], str]
+"""{(system, segment, segment of the sound): name} of clips: names that tell nothing."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +59,7 @@ class BuiltStudy:
     page_bytes: int
 
 
-def build_study(
-    config: StudyConfig,
-    out: str | os.PathLike[str],
-) -> BuiltStudy:
+def build_study(config: StudyConfig, out: str | os.PathLike[str]) -> BuiltStudy:
     """Write the page of a study into a folder: index.html, and the clips in `clips/`.
 
     Names of clips do not tell raters the system. The page comes last, so that a folder with a page
@@ -128,106 +75,83 @@ def build_study(
     """
     out = Path(out)
     script = bundled_script(_BUNDLE, "the script of the study pages")
-    material = find_clips(config)
-    others = {}
-    if config.design == "mismatch":
-        if len(material.segments) < 2:
-            raise ConfigError("design mismatch: needs at least two segments, found 1")
-        others = mismatches(material.segments, config.seed)
-    lists = make_lists(config, material.segments)
+    segments = find_clips(config)
+    are_videos = segments[0].is_video
+    if config.design == "mismatch" and len(segments) < 2:
+        raise ConfigError("design mismatch: needs at least two segments, found 1")
+    if are_videos and config.body != "mannequin":
+        raise ConfigError(f"body: {config.body} is for motions; the clips are videos")
+    others = mismatches(segments, config.seed) if config.design == "mismatch" else {}
+    lists = make_lists(config, segments)
     if config.pairs is not None and (most := len(lists[0])) < config.pairs:
         warnings.warn(
             f"pairs: {config.pairs}, but a rater sees a segment once, and there are "
-            f"{counted(len(material.segments), 'segment')}: {counted(most, 'comparison')} a rater",
+            f"{counted(len(segments), 'segment')}: {counted(most, 'comparison')} a rater",
             stacklevel=2,
         )
-    if material.videos and config.body != "mannequin":
-        raise ConfigError(f"body: {config.body} is for motions; the clips are videos")
-    clips = _Clips(config, material, others)
-    page_lists = [[clips.trial(comparison) for comparison in one] for one in lists]
-    clips.write(out)
+    names: Names = {}
+    trials = [[_trial(config, one, others, names) for one in comparisons] for comparisons in lists]
+    seconds = _write_clips(config, segments, names, out / "clips")
+    for side in (side for one in trials for trial in one for side in trial["sides"]):
+        side |= {"seconds": seconds[side["motion"]]} if "motion" in side else {}
+    silent = config.is_silent or not (are_videos or segments[0].sound)
     values = {
         "title": html.escape(config.title),
         "policy": html.escape(_policy(config.post_url)),
-        "setup": script_json(_setup(config, material, page_lists, out)),
-        "shell": script_json("" if material.videos else player_shell()),
+        "setup": script_json(_setup(config, silent, trials, out)),
+        "shell": script_json("" if are_videos else player_shell()),
         "script": script,
     }
     page = out / "index.html"
     write_page(page, _HERE / "page", values)
-    return BuiltStudy(
-        page, len(material.segments), len(clips.sources), len(lists[0]), page.stat().st_size
-    )
+    return BuiltStudy(page, len(segments), len(names), len(lists[0]), page.stat().st_size)
 
 
-class _Clips:
-    """Clips that the lists use, each once, under names that tell nothing.
-
-    Attributes:
-        sources: {(system, segment, segment of the sound): name}.
-    """
-
-    def __init__(self, config: StudyConfig, material: Material, others: dict[str, Segment]) -> None:
-        self.config, self.material, self.others = config, material, others
-        self.sources: dict[tuple[str, str, str], str] = {}
-        self.segments = {segment.name: segment for segment in material.segments}
-        self.seconds: dict[str, float] = {}
-        self._sides: list[tuple[dict[str, Any], str]] = []
-
-    def trial(self, comparison: Comparison) -> dict[str, Any]:
-        """Return a comparison as the page reads it."""
-        segment, names = comparison.segment, comparison.systems
-        sides = [self._side(name, segment) for name in names]
-        trial: dict[str, Any] = {"clip": segment.name, "systems": names, "sides": sides}
-        return trial | ({"style": segment.style} if segment.style else {})
-
-    def _side(self, name: str, segment: Segment) -> dict[str, Any]:
+def _trial(
+    config: StudyConfig, comparison: Comparison, others: dict[str, Segment], names: Names
+) -> dict[str, Any]:
+    """Return a comparison as the page reads it; its clips are added to `names`."""
+    segment, sides = comparison.segment, []
+    for name in comparison.systems:
         system = name.removesuffix(MISMATCHED)
-        shown = segment if system == name else self.others[segment.name]
-        if not self.material.videos:
-            motion = self._name(system, shown, segment)
-            side: dict[str, Any] = {"motion": motion}
-            self._sides.append((side, motion))
-            return side
-        side = {"video": self._name(system, shown, shown), "silent": self.config.is_silent}
-        if shown is not segment:
-            side["sound"] = self._name(system, segment, segment)
-        return side
+        shown = segment if system == name else others[segment.name]
 
-    def _name(self, system: str, shown: Segment, spoken: Segment) -> str:
-        key = (system, shown.name, spoken.name)
-        suffix = shown.clips[system].suffix.lower() if self.material.videos else ""
-        return self.sources.setdefault(key, f"c{len(self.sources) + 1:04d}{suffix}")
+        def clip(shown: Segment, spoken: Segment, system: str = system) -> str:
+            suffix = shown.clips[system].suffix.lower() if shown.is_video else ""
+            key = (system, shown.name, spoken.name)
+            return names.setdefault(key, f"c{len(names) + 1:04d}{suffix}")
 
-    def write(self, out: Path) -> None:
-        """Write all clips, and the lengths of motions into the comparisons."""
-        sources, mesh = Progress(self.sources.items(), unit="clip"), None
-        for (system, shown, spoken), name in sources:
-            source = self.segments[shown].clips[system]
-            if self.material.videos:
-                with atomic_write(out / "clips" / name) as temporary:
-                    shutil.copyfile(source, temporary)
-            else:
-                sound = self.segments[spoken].sound
-                motion, seconds = _loaded(source, sound)
-                self.seconds[name] = seconds
-                clip = json.loads(player_data(motion, sound, body=self.config.body, compress=True))
-                if "skin" in clip:  # a mesh that all clips share
-                    mesh, clip["skin"] = clip["skin"], _BODY
-                _write_script(out / "clips" / f"{name}.js", clip)
-        if mesh is not None:
-            _write_script(out / "clips" / f"{_BODY}.js", mesh)
-        for side, name in self._sides:
-            side["seconds"] = self.seconds[name]
+        if not segment.is_video:
+            sides.append({"motion": clip(shown, segment)})
+            continue
+        side: dict[str, Any] = {"video": clip(shown, shown), "silent": config.is_silent}
+        sides.append(side | ({} if shown is segment else {"sound": clip(segment, segment)}))
+    trial: dict[str, Any] = {"clip": segment.name, "systems": comparison.systems, "sides": sides}
+    return trial | ({"style": segment.style} if segment.style else {})
 
 
-def _loaded(source: Path, sound: Path | None) -> tuple[Motion, float]:
-    """Return a motion, and the seconds that both it and its sound last."""
-    motion = load(source, {}, {})
-    seconds = motion.duration
-    if sound is not None:
-        seconds = min(seconds, Wave.load(sound).duration)
-    return motion, round(seconds, 3)
+def _write_clips(
+    config: StudyConfig, segments: Sequence[Segment], names: Names, folder: Path
+) -> dict[str, float]:
+    """Write all clips, and return {name: seconds} of motions."""
+    by_name = {segment.name: segment for segment in segments}
+    progress, seconds, mesh = Progress(names.items(), unit="clip"), {}, None
+    for (system, shown, spoken), name in progress:
+        source, sound = by_name[shown].clips[system], by_name[spoken].sound
+        if by_name[shown].is_video:
+            with atomic_write(folder / name) as temporary:
+                shutil.copyfile(source, temporary)
+            continue
+        motion = load(source, {}, {})
+        heard = math.inf if sound is None else Wave.load(sound).duration
+        seconds[name] = round(min(motion.duration, heard), 3)
+        clip = json.loads(player_data(motion, sound, body=config.body, compress=True))
+        if "skin" in clip:  # a mesh that all clips share
+            mesh, clip["skin"] = clip["skin"], _BODY
+        _write_script(folder / f"{name}.js", clip)
+    if mesh is not None:
+        _write_script(folder / f"{_BODY}.js", mesh)
+    return seconds
 
 
 def _write_script(path: Path, value: object) -> None:
@@ -235,18 +159,20 @@ def _write_script(path: Path, value: object) -> None:
     write_text(path, f'gesturekitClip("{path.stem}",{script_json(value)});\n')
 
 
-def _setup(
-    config: StudyConfig, material: Material, lists: Sequence[Any], out: Path
-) -> dict[str, Any]:
-    silent = config.is_silent or not (material.videos or material.segments[0].sound)
-    usual = _QUESTIONS[f"{config.design} {'silent' if silent else config.sound}"]
+def _setup(config: StudyConfig, silent: bool, lists: Sequence[Any], out: Path) -> dict[str, Any]:
+    rating = config.design == "rating"
+    usual = _TEXTS["questions"][f"{config.design} {'silent' if silent else config.sound}"]
     question = config.question or usual
-    texts = config.answers or {"style": _STYLE, "rating": _SCALE}.get(config.design, _PREFERENCE)
+    words = _TEXTS["answers"]
+    texts = config.answers or words.get(config.design, words["preference"])
+    parts = _TEXTS["introduction"]
+    introduction = parts["ratings" if rating else "pairs"] + parts["silent" if silent else "sound"]
     return {
         "format": 1,
         "name": re.sub(r"[^\w.-]+", "_", out.resolve().name) or "study",
         "title": config.title,
-        "introduction": config.introduction or introduction(config, silent),
+        "introduction": config.introduction
+        or introduction + (parts["checks"] if config.attention_checks else ""),
         "consent": config.consent or "",
         "question": question,
         "styles": [
@@ -254,7 +180,7 @@ def _setup(
             for name, words in config.styles.items()
         ],
         "answers": [{"code": c, "text": t} for c, t in zip(CODES, texts, strict=True)],
-        "scale": texts if config.design == "rating" else None,
+        "scale": texts if rating else None,
         "sound": config.sound_check and not silent,
         "practice": config.practice,
         "comment": MOST_COMMENT,

@@ -40,16 +40,13 @@ class Segment:
         """Folder of the clips: mismatched motion is of the same folder."""
         return self.name.rpartition("/")[0]
 
-
-@dataclass(frozen=True)
-class Material:
-    """All segments, and whether their clips are videos (or motions)."""
-
-    segments: tuple[Segment, ...]
-    videos: bool
+    @property
+    def is_video(self) -> bool:
+        """True if the clips, of all segments, are videos; else they are motions."""
+        return next(iter(self.clips.values())).suffix.lower() in VIDEOS
 
 
-def find_clips(config: StudyConfig) -> Material:
+def find_clips(config: StudyConfig) -> tuple[Segment, ...]:
     """Find the clips of a study.
 
     Warns:
@@ -58,33 +55,35 @@ def find_clips(config: StudyConfig) -> Material:
     Raises:
         ConfigError: a missing folder, videos and motions mixed, no common segment.
     """
-    found = {name: _in_folder(name, Path(folder)) for name, folder in config.systems.items()}
-    kinds = {name: {path.suffix.lower() in VIDEOS for path in clips.values()}
-             for name, clips in found.items()}  # fmt: skip
-    if len(set().union(*kinds.values())) > 1:
-        mixed = ", ".join(f"{n}: {'videos' if True in k else 'motions'}" for n, k in kinds.items())
+    clips = {name: _in_folder(name, Path(folder)) for name, folder in config.systems.items()}
+    kinds = {
+        name: "videos" if next(iter(found.values())).suffix.lower() in VIDEOS else "motions"
+        for name, found in clips.items()
+    }
+    if len(set(kinds.values())) > 1:
+        mixed = ", ".join(f"{name}: {kind}" for name, kind in kinds.items())
         raise ConfigError(f"systems: all need clips of one kind, videos or motions ({mixed})")
-    videos = kinds[next(iter(found))] == {True}
-    by_key = _by_common_key(found)
-    common = sorted(set.intersection(*(set(clips) for clips in by_key.values())))
+    if not set.intersection(*map(set, clips.values())):
+        clips = {name: _by_stem(found) for name, found in clips.items()}
+    common = sorted(set.intersection(*map(set, clips.values())))
     if not common:
-        some = {name: next(iter(clips)) for name, clips in found.items()}
+        some = {name: next(iter(found), "none") for name, found in clips.items()}
         raise ConfigError(f"systems: no clip of the same name in all folders; found {some}")
-    for name, clips in by_key.items():
-        _warn(f"{name}: left out, as other systems lack them:", set(clips) - set(common))
-    sounds = {} if videos else _sounds(config, common)
+    for name, found in clips.items():
+        _warn(f"{name}: left out, as other systems lack them:", set(found) - set(common))
+    sounds = {} if "videos" in kinds.values() else _sounds(config, common)
     styles = {key: _style_of(key, config.styles) for key in common}
     if config.styles:
         nameless = [key for key in common if not styles[key]]
         _warn("left out, as their names hold none of the styles:", nameless)
     segments = [
-        Segment(key, {name: by_key[name][key] for name in by_key}, sounds.get(key), styles[key])
+        Segment(key, {name: clips[name][key] for name in clips}, sounds.get(key), styles[key])
         for key in common
         if (not sounds or key in sounds) and (styles[key] or not config.styles)
     ]
     if not segments:
         raise ConfigError("no segment is left for the study")
-    return Material(tuple(segments), videos)
+    return tuple(segments)
 
 
 def _in_folder(system: str, folder: Path) -> dict[str, Path]:
@@ -100,14 +99,8 @@ def _in_folder(system: str, folder: Path) -> dict[str, Path]:
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
 
 
-def _by_common_key(found: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
-    """Key clips by relative path, or by unique stem where no path is common."""
-    if set.intersection(*(set(clips) for clips in found.values())):
-        return found
-    return {name: _by_stem(clips) for name, clips in found.items()}
-
-
 def _by_stem(clips: dict[str, Path]) -> dict[str, Path]:
+    """Return clips by their unique stems, given by relative path."""
     stems = Counter(key.rpartition("/")[2] for key in clips)
     return {stem: path for key, path in clips.items() if stems[stem := key.rpartition("/")[2]] == 1}
 

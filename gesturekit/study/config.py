@@ -2,39 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
-from urllib.parse import urlsplit
 
 from gesturekit.errors import ConfigError
+from gesturekit.evaluation.statistics.answers import MISMATCHED
 from gesturekit.training.config import load_config, path_from
 from gesturekit.viewer.drawn_body import BODIES, is_body
 
-_PAIRS = """You will see pairs of short clips of a moving figure. Play both clips of a pair to the \
-end, then answer the question below them."""
-_RATINGS = """You will see several short clips of a moving figure on a page. Play each clip to the \
-end, then rate it with the slider beside it, in comparison with the others."""
-_INTRODUCTION = """ There are no right or wrong answers: we want to know how the motion looks \
-to you.
-
-"""
-_WITH_SOUND = "*Please use headphones, and keep the sound on.*"
-_WITHOUT_SOUND = "The clips have no sound."
-_CHECKS = """ Some pages ask you, in a line of text on a clip, to give a certain answer: please \
-do so. It shows us that you are paying attention."""
-
-
 MOST_SLIDERS = 12
 """Systems on one page: each has a 3D player, and browsers allow about 16."""
-
-
-def introduction(config: StudyConfig, silent: bool) -> str:
-    """Return the default first screen, for clips with or without sound."""
-    task = _RATINGS if config.design == "rating" else _PAIRS
-    sound = _WITHOUT_SOUND if silent else _WITH_SOUND
-    return f"{task}{_INTRODUCTION}{sound}{_CHECKS if config.attention_checks else ''}"
+_WEB_ADDRESS = re.compile(r"""https?://[^\s"'<>;,/?#\[]+[^\s"'<>;,]*""", re.I)
 
 
 @dataclass(frozen=True)
@@ -100,62 +83,48 @@ class StudyConfig:
         return self.design == "style" or self.sound == "none"
 
     def __post_init__(self) -> None:
+        if problem := next(self._problems(), None):
+            raise ConfigError(problem)
+
+    def _problems(self) -> Iterator[str]:
+        """Yield what is wrong, the first first: later tests rest on earlier ones."""
         if not self.title.strip():
-            raise ConfigError("title is empty; it is the heading that raters see")
-        self._check_systems()
-        if not is_body(self.body):
-            raise ConfigError(f"body: {self.body!r}; expected {', '.join(BODIES)}, .vrm or .glb")
-        for name, least in (("lists", 1), ("attention_checks", 0), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise ConfigError(f"{name}: {getattr(self, name)} is below {least}")
-        if self.lists > 1000:
-            raise ConfigError(f"lists: {self.lists} is more than 1000")
-        if self.pairs is not None and self.pairs < 1:
-            raise ConfigError(f"pairs: {self.pairs}; a rater needs at least 1")
-        if self.answers is not None and len(self.answers) != 5:
-            raise ConfigError(f"answers: {len(self.answers)} given; five are expected")
-        for name in ("post_url", "completion_url"):
-            url = getattr(self, name)
-            if url is not None and not _is_web_address(url):
-                raise ConfigError(f"{name}: {url!r} is not a web address; expected https://...")
-        self._check_styles()
-
-    def _check_systems(self) -> None:
-        least = 1 if self.design == "mismatch" else 2
-        if len(self.systems) < least:
-            raise ConfigError(
-                f"systems: {len(self.systems)} given; design {self.design} needs {least} or more"
-            )
-        if self.design == "rating" and len(self.systems) > MOST_SLIDERS:
-            raise ConfigError(
-                f"systems: {len(self.systems)} given; design rating shows at most {MOST_SLIDERS}"
-            )
+            yield "title is empty; it is the heading that raters see"
+        least, most = 1 if self.design == "mismatch" else 2, math.inf
+        if self.design == "rating":
+            most = MOST_SLIDERS
+        if not least <= len(self.systems) <= most:
+            limits = f"{least} or more" if most == math.inf else f"{least} to {most}"
+            yield f"systems: {len(self.systems)} given; design {self.design} needs {limits}"
         if self.design == "rating" and self.reasons != "none":
-            raise ConfigError(f"reasons: {self.reasons} is for pairs; design rating asks for none")
+            yield f"reasons: {self.reasons} is for pairs; design rating asks for none"
         if self.design == "mismatch" and self.sound == "none":
-            raise ConfigError("sound: design mismatch asks about the sound; it cannot be none")
-        for name, folder in self.systems.items():
-            if not isinstance(name, str) or not isinstance(folder, str) or not name.strip():
-                raise ConfigError(f"systems: {name!r}: {folder!r}; expected NAME: FOLDER")
-            if name.endswith("_Mismatched"):
-                raise ConfigError(f"systems: {name!r} ends in _Mismatched: choose another name")
-
-    def _check_styles(self) -> None:
+            yield "sound: design mismatch asks about the sound; it cannot be none"
         if bool(self.styles) != (self.design == "style"):
             need = "needs styles" if self.design == "style" else "has no styles"
-            raise ConfigError(f"styles: design {self.design} {need} (NAME: words of the question)")
-        for name, words in self.styles.items():
-            if not isinstance(name, str) or not isinstance(words, str):
-                raise ConfigError(f"styles: {name!r}: {words!r}; expected NAME: WORDS")
-
-
-def _is_web_address(url: str) -> bool:
-    try:
-        parts = urlsplit(url)
-    except ValueError:
-        return False
-    safe = not any(sign.isspace() or sign in "\"'<>;," for sign in url)
-    return safe and parts.scheme in ("http", "https") and bool(parts.hostname)
+            yield f"styles: design {self.design} {need} (NAME: words of the question)"
+        for key, expected in (("systems", "NAME: FOLDER"), ("styles", "NAME: WORDS")):
+            for name, text in getattr(self, key).items():
+                if not (isinstance(name, str) and isinstance(text, str) and name.strip()):
+                    yield f"{key}: {name!r}: {text!r}; expected {expected}"
+                if name.endswith(MISMATCHED):
+                    yield f"{key}: {name!r} ends in {MISMATCHED}: choose another name"
+        if not is_body(self.body):
+            yield f"body: {self.body!r}; expected {', '.join(BODIES)}, .vrm or .glb"
+        for key, low, high in (
+            ("lists", 1, 1000), ("pairs", 1, math.inf), ("attention_checks", 0, math.inf),
+            ("seed", 0, math.inf),
+        ):  # fmt: skip
+            value = getattr(self, key)
+            if value is not None and not low <= value <= high:
+                limits = f"{low} or more" if high == math.inf else f"{low} to {high}"
+                yield f"{key}: {value}; expected {limits}"
+        if self.answers is not None and len(self.answers) != 5:
+            yield f"answers: {len(self.answers)} given; five are expected"
+        for key in ("post_url", "completion_url"):
+            url = getattr(self, key)
+            if url is not None and not _WEB_ADDRESS.fullmatch(url):
+                yield f"{key}: {url!r} is not a web address; expected https://..."
 
 
 def load_study_config(path: str | os.PathLike[str], overrides: tuple[str, ...] = ()) -> StudyConfig:

@@ -33,13 +33,9 @@ def ordered_pairs(config: StudyConfig) -> list[tuple[str, ...]]:
     """Return all pairs of systems to compare, either way round; of ratings, all systems at once."""
     if config.design == "rating":
         return [tuple(config.systems)]
-    if config.design == "mismatch":
-        return [
-            pair
-            for name in config.systems
-            for pair in ((name, name + MISMATCHED), (name + MISMATCHED, name))
-        ]
-    return list(permutations(config.systems, 2))
+    sides = [[name, name + MISMATCHED] for name in config.systems]
+    compared = sides if config.design == "mismatch" else [list(config.systems)]
+    return [pair for systems in compared for pair in permutations(systems, 2)]
 
 
 def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Comparison]]:
@@ -48,11 +44,9 @@ def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Co
     Each style has its share of `config.pairs`; styles follow the order of `config.styles`, as in
     section 4.3.2 of the diffusion paper.
     """
-    groups: dict[str, list[Segment]] = {style: [] for style in config.styles or [""]}
-    for segment in segments:
-        groups[segment.style].append(segment)
-    groups = {style: group for style, group in groups.items() if group}
-    wanted = config.pairs if config.pairs is not None else len(segments)
+    by_style = [[s for s in segments if s.style == style] for style in config.styles or [""]]
+    groups = [group for group in by_style if group]
+    wanted = len(segments) if config.pairs is None else config.pairs
     pairs = ordered_pairs(config)
     # Of each style: its segments, their number in a list, random numbers, uses of each pair.
     styles = [
@@ -62,18 +56,17 @@ def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Co
             np.random.default_rng([config.seed, number]),
             np.zeros((len(group), len(pairs))),
         )
-        for number, group in enumerate(groups.values())
+        for number, group in enumerate(groups)
     ]
-    lists = []
+    lists: list[list[Comparison]] = []
     for _ in range(config.lists):
         in_list = np.zeros(len(pairs), int)
-        comparisons = []
+        lists.append([])
         for group, n, rng, used in styles:
             for place, pair in _places(used, n, in_list, rng):
                 used[place, pair] += 1
                 in_list[pair] += 1
-                comparisons.append(Comparison(group[place], pairs[pair]))
-        lists.append(comparisons)
+                lists[-1].append(Comparison(group[place], pairs[pair]))
     return lists
 
 

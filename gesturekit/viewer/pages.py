@@ -57,14 +57,6 @@ def section(title: str, lead: str, body: str) -> str:
     return f"<section><h2>{html.escape(title)}</h2>{lead}{body}</section>"
 
 
-def table(head: str, rows: str) -> str:
-    """Return a table that scrolls by itself where it is too wide; cells and rows are HTML."""
-    return (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>{rows}</tbody></table></div>"
-    )
-
-
 def plots_section(plots: Mapping[str, str]) -> str:
     """Return the section of SVG figures {title: text}."""
     figures = "".join(

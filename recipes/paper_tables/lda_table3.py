@@ -15,7 +15,7 @@ from cells import markdown, number
 
 from gesturekit.evaluation import read_answers
 from gesturekit.study import analyse_study
-from gesturekit.study.analysis.preference import Preference
+from gesturekit.study.analysis import Preference
 
 CONDITIONS = ("GT", "LDA", "LDA-DW", "LDA-G", "LDA-U", "SG", "ZE", "BL")
 

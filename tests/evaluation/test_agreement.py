@@ -23,7 +23,7 @@ from gesturekit.evaluation import (
     read_ratings,
 )
 from gesturekit.evaluation.statistics.agreement import agreement, chance_range, conclusion
-from gesturekit.evaluation.statistics.ratings import Ratings
+from gesturekit.evaluation.statistics.answers import Ratings
 from gesturekit.evaluation.statistics.scores import scores_of
 
 
@@ -73,7 +73,7 @@ def test_metrics_that_order_models_as_people_do_have_a_correlation_of_one():
         model("b", sync=0.4, jerk=0.2, foot_skate=0.3),
         model("c", sync=0.2, jerk=1.1, foot_skate=0.2),
     ]
-    votes = judged(("a", "b"), ("a", "c"), ("b", "c"))
+    votes = judged(("a", "b"), ("a", "c"), ("b", "c"), users=8)  # sign test: p = 2 / 2⁸
     found = of_votes(models, votes)
     assert found["sync"].kendall == found["sync"].spearman == 1.0
     assert (found["sync"].accuracy, found["sync"].pairs, found["sync"].n) == (1.0, 3, 3)
@@ -87,7 +87,7 @@ def test_metrics_that_order_models_as_people_do_have_a_correlation_of_one():
     )
     (question,) = agreement(models, Ratings.of_answers(votes)).questions
     assert question.scores == {"a": 1.0, "b": 0.5, "c": 0.0}  # shares of comparisons won
-    assert (question.raters, question.clips, question.ratings) == (4, 1, 12)
+    assert (question.raters, question.clips, question.ratings) == (8, 1, 24)
 
 
 def test_votes_of_raters_who_disagree_make_no_pair_significant_and_ties_count_half():

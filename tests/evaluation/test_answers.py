@@ -139,6 +139,6 @@ def test_empty_lines_spaces_and_files_named_twice_do_not_matter(tmp_path):
     with pytest.raises(EvaluationError, match="CSV"):
         read_answers([])
     with (tmp_path / "large.csv").open("wb") as file:
-        file.truncate(200_000_001)
-    with pytest.raises(EvaluationError, match="large.csv.*200 MB"):
+        file.truncate((200 << 20) + 1)
+    with pytest.raises(EvaluationError, match="large.csv.*200 MiB"):
         read_answers([tmp_path / "large.csv"])

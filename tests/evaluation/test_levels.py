@@ -20,7 +20,7 @@ from gesturekit.evaluation import (
     metric_results,
 )
 from gesturekit.evaluation.results import OTHER_SPEAKER
-from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, reached_floor
+from gesturekit.evaluation.statistics.model_metrics import CEILING, MEAN_POSE, reached_floor
 
 
 def show(shared_data: Path, speaker: str) -> list[Item]:

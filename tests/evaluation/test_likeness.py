@@ -17,8 +17,8 @@ from gesturekit.evaluation.definitions import MOVEMENT, POOLED
 from gesturekit.evaluation.made_motion import chosen_frames, halved, held, turned
 from gesturekit.evaluation.measuring.clip_metrics import ReferenceStatistics
 from gesturekit.evaluation.results import OTHER_SPEAKER, MetricResult
-from gesturekit.evaluation.statistics.levels import MEAN_POSE
 from gesturekit.evaluation.statistics.likeness import Relative, credits, relative
+from gesturekit.evaluation.statistics.model_metrics import MEAN_POSE
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import arm_joints, body_joints
 

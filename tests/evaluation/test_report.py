@@ -15,7 +15,7 @@ from markupsafe import escape
 from pages import bundled
 
 from gesturekit.evaluation import evaluate, write_report
-from gesturekit.evaluation.report.rows import number
+from gesturekit.evaluation.report.text import number
 
 pytestmark = bundled
 

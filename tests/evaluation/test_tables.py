@@ -22,8 +22,14 @@ from gesturekit.evaluation import (
     SpeedHistogram,
     contests,
 )
-from gesturekit.evaluation.report.rows import level_in_words, number
-from gesturekit.evaluation.report.text import WRITERS, note_lines, summary_line, terminal_lines
+from gesturekit.evaluation.report.text import (
+    WRITERS,
+    level_in_words,
+    note_lines,
+    number,
+    summary_line,
+    terminal_lines,
+)
 
 
 def of(value: float, low: float | None = None, high: float | None = None, n: int = 6) -> Interval:

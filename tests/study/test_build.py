@@ -99,9 +99,9 @@ def test_clips_are_matched_by_path_then_by_name_and_others_are_named(tmp_path):
     config = video_study(tmp_path, {"a": ["d/x y.mp4", "d/é.mp4"], "b": ["d/x y.webm", "d/z.mp4"]})
     with pytest.warns(UserWarning, match=r"(?=.*\b1 clip\b).*d/(é|z)"):
         found = find_clips(config)
-    assert [segment.name for segment in found.segments] == ["d/x y"] and found.videos
+    assert [segment.name for segment in found] == ["d/x y"] and found[0].is_video
     flat = video_study(tmp_path / "2", {"a": ["one/x.mp4"], "b": ["x.mp4"]})
-    assert [segment.name for segment in find_clips(flat).segments] == ["x"]
+    assert [segment.name for segment in find_clips(flat)] == ["x"]
 
 
 def test_styles_are_found_in_folders_and_file_names(tmp_path):
@@ -109,7 +109,7 @@ def test_styles_are_found_in_folders_and_file_names(tmp_path):
     styles = {"happy": "happy", "very happy": "very happy", "old": "an old person"}
     config = video_study(tmp_path, {"a": names, "b": names}, design="style", styles=styles)
     with pytest.warns(UserWarning, match="unhappy"):
-        found = {segment.name: segment.style for segment in find_clips(config).segments}
+        found = {segment.name: segment.style for segment in find_clips(config)}
     (tmp_path / "none").mkdir()
     with pytest.raises(ConfigError, match="segment"), pytest.warns(UserWarning, match="x"):
         names = {"a": ["x.mp4"], "b": ["x.mp4"]}

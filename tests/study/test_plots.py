@@ -6,7 +6,7 @@ from figures import kept_figures, points
 
 from gesturekit.evaluation import Answer, Answers
 from gesturekit.study import analyse_study
-from gesturekit.study.analysis import plots
+from gesturekit.study import report as plots
 
 
 @pytest.fixture

@@ -7,8 +7,7 @@ import pytest
 
 from gesturekit.evaluation import Answer, Answers
 from gesturekit.study import analyse_study, write_study_report
-from gesturekit.study.analysis.report import write_json
-from gesturekit.study.analysis.result import conclusions, reservations
+from gesturekit.study.report import conclusions, reservations, write_json
 
 
 def study(answers: list[Answer], rounds: int = 20, **options):

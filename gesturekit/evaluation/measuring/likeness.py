@@ -35,7 +35,6 @@ from gesturekit.evaluation.results import (
     MetricResult,
 )
 from gesturekit.evaluation.statistics.intervals import groups_of
-from gesturekit.evaluation.statistics.levels import CEILING, MEAN_POSE, level_of
 from gesturekit.evaluation.statistics.likeness import (
     Credits,
     Relative,
@@ -43,6 +42,7 @@ from gesturekit.evaluation.statistics.likeness import (
     likeness_result,
     relative,
 )
+from gesturekit.evaluation.statistics.model_metrics import CEILING, MEAN_POSE, level_of
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 

@@ -37,7 +37,7 @@ from gesturekit.evaluation.measuring.set_metrics import (
 )
 from gesturekit.evaluation.pairs import Excluded, ItemInterval, Items, Pair, Window, recordings
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult
-from gesturekit.evaluation.statistics.levels import OTHER_SOUND
+from gesturekit.evaluation.statistics.model_metrics import OTHER_SOUND
 from gesturekit.workers import Failure, in_processes
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ from gesturekit.evaluation.metrics.two_sample import (
 from gesturekit.evaluation.pairs import Pair, Window
 from gesturekit.evaluation.results import Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import groups_of, whole_set
-from gesturekit.evaluation.statistics.levels import CEILING, level_of
+from gesturekit.evaluation.statistics.model_metrics import CEILING, level_of
 from gesturekit.motion import Motion, Skeleton
 
 ENOUGH_CALM = 16

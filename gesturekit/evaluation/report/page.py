@@ -11,8 +11,9 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
@@ -31,9 +32,8 @@ from gesturekit.evaluation.definitions import (
 )
 from gesturekit.evaluation.measuring.clips import load_clip, load_wave
 from gesturekit.evaluation.pairs import WINDOW_SECONDS
-from gesturekit.evaluation.report import rows
+from gesturekit.evaluation.report import text
 from gesturekit.evaluation.report.plots import RECORDING, all_plots, colour
-from gesturekit.evaluation.report.text import agreement_lines
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     ClipResult,
@@ -87,16 +87,15 @@ def write_report(
         True
     """
     evaluation = _with_short_names(evaluation)
-    models, groups = evaluation.models, rows.rows_by_group(evaluation)
+    models, groups = evaluation.models, text.rows_by_group(evaluation)
     names = listed([model.label for model in models], 12)
-    shown = best_and_worst(evaluation, body)
+    shown = _best_and_worst(evaluation, body)
     patch_metrics, recording_rows = _by_recording(evaluation)
     values = dict(
         evaluation=evaluation,
         models=models,
         title=title or f"{names} against the recordings in {evaluation.reference.name}",
-        below_verdicts=[*same_verdicts(models), *_glossary(evaluation)],
-        facts=_facts(evaluation),
+        same_verdicts=same_verdicts(models),
         warnings=_warnings(evaluation),
         shown=shown,
         shown_seconds=f"{SECONDS:g}",
@@ -106,55 +105,40 @@ def write_report(
         patch_metrics=patch_metrics,
         recording_rows=recording_rows,
         plots=Markup(plots_section(all_plots(evaluation))),
-        agreement="\n".join(agreement_lines(evaluation)).strip(),
+        agreement="\n".join(text.agreement_lines(evaluation)).strip(),
         clip_rows=[(i, clip) for i, m in enumerate(models) for clip in m.clips[:_MOST_CLIPS]],
         command=command,
         settings=json.dumps(evaluation.settings, ensure_ascii=False),
-        player=_player(shown),
+        shell=Markup(script_json(player_shell() if shown else "")),
+        clips=Markup(script_json([{k: clip[k] for k in ("title", "motion")} for clip in shown])),
+        script=Markup((_PAGE / "clips.js").read_text("utf-8")),
     )
-    write_text(path, _templates().get_template("report.html").render(values))
+    write_text(path, _environment().get_template("report.html").render(values))
 
 
-def _player(shown: Sequence[Shown]) -> dict[str, Markup]:
-    """Return style and scripts of the page, and the data of its player."""
-    clips = [{"title": html.escape(clip.title), "motion": clip.motion} for clip in shown]
-    return {
-        "style": Markup((_PAGE / "style.css").read_text("utf-8")),
-        "script": Markup((_PAGE / "clips.js").read_text("utf-8")),
-        "shell": Markup(script_json(player_shell() if shown else "")),
-        "clips": Markup(script_json(clips)),
+def _environment() -> jinja2.Environment:
+    """Return the environment of the page: all text loses its folders."""
+    environment = text.templates(_PAGE)
+    environment.finalize = lambda value: without_folders(value) if type(value) is str else value
+    environment.globals |= {"colour": colour, "counted": counted}
+    environment.tests["contains"] = lambda names, name: name in names
+    environment.filters |= {
+        "number": text.number,
+        "bounds": text.bounds,
+        "spread": text.spread_in_words,
+        "level": text.level_in_words,
+        "remarks": text.remarks,
+        "px": "{:.1f}".format,
     }
+    return environment
 
 
-@cache
-def _templates() -> jinja2.Environment:
-    """Return the environment of the page: all text is escaped, and loses its folders."""
-    templates = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_PAGE),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=lambda value: without_folders(value) if type(value) is str else value,
-    )
-    templates.globals |= {"colour": colour, "counted": counted}
-    templates.tests["contains"] = lambda names, name: name in names
-    templates.filters |= {
-        "number": rows.number,
-        "bounds": rows.bounds,
-        "spread": rows.spread_in_words,
-        "level": rows.level_in_words,
-        "remarks": rows.remarks,
-    }
-    return templates
-
-
-def without_folders(text: str) -> str:
+def without_folders(line: str) -> str:
     """Return a text with the name alone of each absolute path: the page is made to be mailed."""
     for place in (Path.cwd(), Path.home()):  # these may have spaces in them
         if place.name:
-            text = text.replace(f"{place}/", "")
-    return re.sub(r"(?<![\w/.<:~])/(?:[^\s/'\"<>:,;&]+/)+", "", text)
+            line = line.replace(f"{place}/", "")
+    return re.sub(r"(?<![\w/.<:~])/(?:[^\s/'\"<>:,;&]+/)+", "", line)
 
 
 def _with_short_names(evaluation: Evaluation) -> Evaluation:
@@ -166,40 +150,22 @@ def _with_short_names(evaluation: Evaluation) -> Evaluation:
     return replace(evaluation, models=models)
 
 
-def _glossary(evaluation: Evaluation) -> Iterator[str]:
-    """Yield what a verdict's terms mean that no reader knows from elsewhere."""
-    if any("reach" in model.verdict for model in evaluation.models):
-        yield (
-            "Reach is the size of the space that the wrists move in, relative to the body; the "
-            "speaker's is that of the recordings."
-        )
-
-
-def _facts(evaluation: Evaluation) -> Iterator[str]:
-    if evaluation.protocol:
-        yield f"protocol {evaluation.protocol}"
-    yield counted(len({clip.pair.stem for clip in evaluation.models[0].clips}), "recording")
-    yield evaluation.basis.rstrip(".")
-    yield f"seed {evaluation.settings['seed']}"
-
-
 def _warnings(evaluation: Evaluation) -> Iterator[str]:
-    yield from (f"{warning}." for warning in rows.interval_warnings(evaluation))
-
-    def notes(model: ModelResult) -> Iterator[str]:
-        if left_out := sum(item.what == "clip" for item in model.excluded):
-            yield f"left out: {counted(left_out, 'clip')}; the reasons are below"
-        yield from model.notes
-
-    several = len(evaluation.models) > 1
-    said = rows.by_text((note, model.label) for model in evaluation.models for note in notes(model))
+    """Yield warnings on intervals, and the notes of models, each once."""
+    yield from (f"{warning}." for warning in text.interval_warnings(evaluation))
+    said: dict[str, list[str]] = {}
+    for model in evaluation.models:
+        left_out = sum(item.what == "clip" for item in model.excluded)
+        first = f"left out: {counted(left_out, 'clip')}; the reasons are below"
+        for note in ([first] if left_out else []) + model.notes:
+            said.setdefault(note, []).append(model.label)
     for note, labels in said.items():
-        yield f"{', '.join(labels)}: {note}." if several else f"{note}."
+        yield f"{', '.join(labels)}: {note}." if len(evaluation.models) > 1 else f"{note}."
 
 
 @dataclass(frozen=True)
 class Question:
-    """A column of the three questions, whose scores have places on one line, in pixels.
+    """A column of the three questions, whose scores have places on one line.
 
     Attributes:
         text: its heading.
@@ -210,7 +176,6 @@ class Question:
     text: str
     results: dict[str, MetricResult]
     best: int | None
-    WIDTH, MARGIN = 260, 6
 
     @property
     def has_intervals(self) -> bool:
@@ -226,19 +191,13 @@ class Question:
         ends += [result.interval.value for result in results if result.informative]
         return min([0.0, *ends]), max([1e-6, *ends])
 
-    def width(self, difference: float) -> str:
-        """Return the length of a difference of values."""
+    def x(self, value: float) -> float:
+        """Return the place of a value in pixels: 6 to 254 of 260."""
         low, high = self.ends
-        return f"{(self.WIDTH - 2 * self.MARGIN) * difference / (high - low):.1f}"
-
-    def x(self, value: float, beside: float = 0.0) -> str:
-        """Return the place of a value, and of `beside` added to it."""
-        low, high = self.ends
-        share = (value + beside - low) / (high - low)
-        return f"{self.MARGIN + (self.WIDTH - 2 * self.MARGIN) * share:.1f}"
+        return 6.0 + 248.0 * (value - low) / (high - low)
 
 
-def _questions(models: Sequence[ModelResult], headline: Sequence[rows.Row]) -> list[Question]:
+def _questions(models: Sequence[ModelResult], headline: Sequence[text.Row]) -> list[Question]:
     """Return the questions that head the page; none without answers.
 
     A broken motion has no scores there, and does not stretch the lines of the others.
@@ -261,44 +220,25 @@ def _by_recording(
 
     Without samples there are no rows; see eq. 18.
     """
-    models = {i: m for i, m in enumerate(evaluation.models) if m.by_recording}
-    tables = [values for model in models.values() for values in model.by_recording.values()]
-    sampled = any(interval.n > 1 for values in tables for interval in values.values())
+    rows = [
+        (stem, i, values)
+        for i, model in enumerate(evaluation.models)
+        for stem, values in model.by_recording.items()
+    ]
+    sampled = any(interval.n > 1 for _, _, values in rows for interval in values.values())
     if not sampled and evaluation.protocol != "multires":
         return [], []
     patches = [d for d in evaluation.definitions() if d.group == PATCHES]
-    stems = sorted({stem for model in models.values() for stem in model.by_recording})
-    return (
-        [d for d in patches if any(d.key in values for values in tables)],
-        [(s, i, model.by_recording.get(s, {})) for s in stems for i, model in models.items()],
-    )
+    known = [d for d in patches if any(d.key in values for _, _, values in rows)]
+    return known, sorted(rows, key=lambda row: row[:2])
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A clip to show.
-
-    Attributes:
-        label: text of its button.
-        detail: text below: the value it is ranked by.
-        title: heading of the player.
-        ranked_by: name of the metric.
-        motion: JSON for the player.
-        is_cut: True if the clip is longer than what is shown.
-    """
-
-    label: str
-    detail: str
-    title: str
-    ranked_by: str
-    motion: str
-    is_cut: bool = False
-
-
-def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Shown]:
+def _best_and_worst(evaluation: Evaluation, body: str | None) -> list[dict[str, Any]]:
     """Return best and worst clips of the first model, with other models' clips of the same name.
 
-    Files that no longer exist are skipped. `body` is as in `gesturekit.viewer.drawn_body`.
+    Each is a text for its button (`label`) and one below (`detail`), the heading and the JSON of
+    the player (`title`, `motion`), the metric by which it is ranked, and whether it is cut. Files
+    that no longer exist are skipped. `body` is as in `gesturekit.viewer.drawn_body`.
     """
     clips = evaluation.models[0].clips
     key = next((k for k in shown_in("ranking") if all(k in c.metrics for c in clips)), None)
@@ -310,14 +250,19 @@ def best_and_worst(evaluation: Evaluation, body: str | None = None) -> list[Show
     ends = [("Best", ranked[:each]), ("Worst", ranked[::-1][:each] if len(ranked) > 1 else [])]
     shown = []
     for end, at, clip in ((end, at, clip) for end, some in ends for at, clip in enumerate(some)):
-        label = f"{end}, {at + 1}" if at else end
+        name, label = clip.pair.name, f"{end}, {at + 1}" if at else end
         try:
             data = _player_data(evaluation, clip, body)
         except (GestureKitError, AudioFeaturesError, OSError):
             continue
-        detail = f"{clip.pair.name}: {definition.name.lower()} {clip.metrics[key]:.2f}"
-        title, cut = f"{label}: {clip.pair.name}", clip.seconds > SECONDS
-        shown.append(Shown(label, detail, title, definition.name, data, cut))
+        shown.append(dict(
+            label=label,
+            detail=f"{name}: {definition.name.lower()} {clip.metrics[key]:.2f}",
+            title=html.escape(f"{label}: {name}"),
+            motion=data,
+            ranked_by=definition.name,
+            is_cut=clip.seconds > SECONDS,
+        ))  # fmt: skip
     return shown
 
 

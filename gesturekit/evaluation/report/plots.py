@@ -29,8 +29,9 @@ _DASHED: dict[str, Any] = {"color": RECORDING, "lw": 1.4, "ls": "--"}
 _OF_CHANCE: dict[str, Any] = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
 _BAR: dict[str, Any] = {"lw": 2}
 _DOT: dict[str, Any] = {"ls": "", "marker": "o", "ms": 7}
+_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.5, "color": RECORDING}
 _BELOW: dict[str, Any] = dict(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-"""Looks of lines, marks and legends."""
+"""Looks of lines, marks, titles and legends."""
 
 _LEAST_RATIO = 0.01
 _MOST_RECORDINGS = 24
@@ -74,7 +75,7 @@ def _speech(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
         axes.set_xlim(-0.6, len(models) - 0.4)
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
         axes.set_ylabel("Pearson's r" if key == "sync" else "score, 0 to 1")
-        _title(axes, DEFINITIONS[key].name)
+        axes.set_title(DEFINITIONS[key].name, **_TITLE)
     looks = (_DASHED, {"marker": "_", **_OF_CHANCE}, {"marker": "x", **_OF_CHANCE})
     names = ["the recording's own", "chance: sound shifted", "sound of other recordings"]
     figure.legend([Line2D([], [], **look) for look in looks], names, **_BELOW)
@@ -89,7 +90,7 @@ def _ratios(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
     axes = figure.subplots()
     inks = {i: colour(i) for i in range(len(models))}
     titles = [DEFINITIONS[key].title for key in keys]
-    _rows(axes, titles, inks, lambda row, i: _ratio(models[i], keys[row]), 0.7)
+    draw_rows(axes, titles, inks, lambda row, i: _ratio(models[i], keys[row]), 0.7)
     axes.axvline(1.0, **_DASHED)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
@@ -110,7 +111,7 @@ def _ratio(model: ModelResult, key: str) -> Ends | None:
     result = model.metrics.get(key)
     if result is None or not result.recording:
         return None
-    ratio, low, high = (value / result.recording for value in _ends(result.interval))
+    ratio, low, high = np.divide(_ends(result.interval), result.recording).tolist()
     return None if ratio < _LEAST_RATIO else (ratio, max(low, _LEAST_RATIO), high)
 
 
@@ -180,7 +181,7 @@ def _patches(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
             interval = sampled[i].get(stems[row], {}).get(key)
             return None if interval is None else _ends(interval)
 
-        _rows(axes, [shortened(stem, 26) for stem in stems], inks, ends, 0.6)
+        draw_rows(axes, [shortened(stem, 26) for stem in stems], inks, ends, 0.6)
         if definition.unit == "%":
             axes.set_xlim(-4, 104)
             axes.set_xlabel("% of windows")
@@ -189,12 +190,12 @@ def _patches(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
             axes.set_xlim(-0.03 * right, right)
             axes.set_xlabel("mean distance of frames")
         axes.grid(color=_LINE)
-        _title(axes, definition.name)
+        axes.set_title(definition.name, **_TITLE)
     _legend(figure, {models[i].label: ink for i, ink in inks.items()})
     return figure
 
 
-def _rows(
+def draw_rows(
     axes: Axes,
     names: Sequence[str],
     inks: Mapping[int, str],
@@ -215,6 +216,11 @@ def _rows(
             if (known := ends(row, i)) is not None:
                 y = row + (place - (len(inks) - 1) / 2) * height / len(inks)
                 _error_bar(axes, y, known, ink, vertical=False)
+    name_rows(axes, names)
+
+
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Give the rows of a plot their names, the first one at the top."""
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
 
@@ -237,10 +243,6 @@ def _legend(figure: matplotlib.figure.Figure, inks: Mapping[str, str]) -> None:
     if len(inks) > 1:
         handles = [Line2D([], [], color=ink, marker="o", **_BAR) for ink in inks.values()]
         figure.legend(handles, [*inks], **_BELOW)
-
-
-def _title(axes: Axes, text: str) -> None:
-    axes.set_title(text, loc="left", fontsize=10.5, color=RECORDING)
 
 
 def shortened(name: str, most: int) -> str:

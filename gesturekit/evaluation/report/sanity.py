@@ -190,6 +190,7 @@ def mark(definition: Definition, result: MetricResult | None, recording: ModelRe
 def _notices(definition: Definition, result: MetricResult, own: MetricResult) -> bool:
     key = definition.key
     value, itself = result.interval.value, own.interval.value
+    goal = itself if own.recording is None else own.recording
     if key == "likeness":
         return value < itself - UNLIKE
     if key in ("novelty", "copying", "copying_low"):
@@ -198,12 +199,10 @@ def _notices(definition: Definition, result: MetricResult, own: MetricResult) ->
         return value < TIMED * itself
     if result.chance is not None and own.chance is not None:
         return value - result.chance < TIMED * (itself - own.chance)
-    goal = itself if own.recording is None else own.recording
-    if definition.enough == "at least":
-        return value < (1.0 - CHANGE) * goal
-    if definition.enough == "at most":
-        return value > (1.0 + CHANGE) * goal
-    return key not in ("calm_lively_slope",) and abs(value - goal) > CHANGE * abs(goal) + 1e-9
+    if definition.enough:
+        more = (value - goal) * (1.0 if definition.enough == "at most" else -1.0)
+        return more > CHANGE * goal
+    return key != "calm_lively_slope" and abs(value - goal) > CHANGE * abs(goal) + 1e-9
 
 
 def table_lines(evaluation: Evaluation) -> Iterator[str]:
@@ -236,12 +235,11 @@ def conclusion(evaluation: Evaluation) -> str:
     """Return what the three headline metrics notice together, in one sentence."""
     noticed = noticed_by(evaluation)
     missed = [name for name, keys in noticed.items() if not keys]
-    timed, why = evaluation.models[0].metrics.get("in_time"), ""
+    timed = evaluation.models[0].metrics.get("in_time")
+    found = f"all {len(noticed)} bad motions."
+    if missed:
+        some = f"{len(noticed) - len(missed)} of {len(noticed)} bad motions"
+        found = f"{some}, but not: {listed(missed, 5)}."
     if timed is None or not timed.informative:
-        why = " (In time with the speech: cannot be answered on this corpus.)"
-    if not missed:
-        return f"The three headline figures together notice all {len(noticed)} bad motions.{why}"
-    return (
-        f"The three headline figures together notice {len(noticed) - len(missed)} of "
-        f"{len(noticed)} bad motions, but not: {listed(missed, 5)}.{why}"
-    )
+        found += " (In time with the speech: cannot be answered on this corpus.)"
+    return f"The three headline figures together notice {found}"

@@ -1,4 +1,4 @@
-"""Results as text: answers and tables for the terminal, and the table as CSV, Markdown, LaTeX."""
+"""Results as text: values and rows in words, tables for the terminal, CSV, Markdown and LaTeX."""
 
 from __future__ import annotations
 
@@ -6,26 +6,25 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.report.rows import (
-    Row,
-    interval_warnings,
-    level_in_words,
-    number,
-    rows_by_group,
-    spread_in_words,
-)
+import jinja2
+
+from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     Evaluation,
+    Interval,
+    Level,
     MetricAgreement,
     MetricResult,
-    QuestionAgreement,
 )
 from gesturekit.evaluation.statistics.agreement import conclusion
+from gesturekit.evaluation.statistics.intervals import Takes
+from gesturekit.evaluation.statistics.model_metrics import level_name
+from gesturekit.evaluation.statistics.paired import Contest, contests
 from gesturekit.wording import counted, listed, printable
 
 CSV_COLUMNS = (
@@ -49,6 +48,150 @@ _LATEX = {
     "\u202f": r"\,",
 }
 _COMPARED = ("fps", "protocol")
+_PAGE = Path(__file__).parent / "page"
+
+
+ARROWS = {
+    "higher": ("↑", "higher is nearer to the recordings' own value"),
+    "lower": ("↓", "lower is nearer to the recordings' own value"),
+    "reference": ("", "the recordings' own value is the goal"),
+}
+"""Sign and meaning of the better direction."""
+
+
+def number(value: float) -> str:
+    """Format a value with about three significant digits."""
+    size = abs(value)
+    if size < 1e-6:
+        return "0"
+    if size >= 1000:
+        return f"{value:,.0f}".replace(",", "\u202f")
+    if size >= 100:
+        return f"{value:.0f}"
+    if size >= 10:
+        return f"{value:.1f}"
+    return f"{value:.2f}" if size >= 0.1 else f"{value:.2g}"
+
+
+def bounds(interval: Interval | None, form: str = "{} … {}") -> str:
+    """Return the bounds of an interval as text; "" without an interval."""
+    if interval is None or interval.low is None or interval.high is None:
+        return ""
+    return form.format(number(interval.low), number(interval.high))
+
+
+def spread_in_words(interval: Interval) -> str:
+    """Return an interval in words, such as "95 % interval 0.4 to 0.6"."""
+    return bounds(interval, "95 % interval {} to {}") or "no interval"
+
+
+def value_text(result: MetricResult | None) -> str:
+    """Return a value with its interval, such as "0.50 [0.40, 0.60]"."""
+    if result is None:
+        return "–"
+    if not result.informative:
+        return f"{number(result.interval.value)} (not informative)"
+    return number(result.interval.value) + bounds(result.interval, " [{}, {}]")
+
+
+def level_in_words(level: Level) -> str:
+    """Return a level in words, such as "another speaker 0.41 ± 0.06 (4 takes)"."""
+    spread = "" if level.spread is None else f" ± {number(level.spread)}"
+    unit = "piece" if level.pieces else "take"
+    count = f" ({level.n} {unit}{'s' if level.n > 1 else ''})" if level.n else ""
+    return f"{level_name(level)} {number(level.value)}{spread}{count}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A metric with the results of all models.
+
+    Attributes:
+        definition: of the metric.
+        results: results of each model; None where it was not measured.
+        contest: order of the models; None without a value of the recordings.
+        best: index of the model whose value is bold, or None.
+    """
+
+    definition: Definition
+    results: tuple[MetricResult | None, ...]
+    contest: Contest | None = None
+    best: int | None = None
+
+    @property
+    def known(self) -> list[MetricResult]:
+        """The results of the models that have any."""
+        return [result for result in self.results if result is not None]
+
+    @property
+    def direction(self) -> tuple[str, str]:
+        """Sign and meaning of the better direction; no sign where a model is beyond that value."""
+        return ARROWS[self.definition.better if self.contest is None else self.contest.direction]
+
+    @property
+    def recorded(self) -> MetricResult | None:
+        """The first result that has the recordings' own value."""
+        return next((result for result in self.known if result.recording is not None), None)
+
+    @property
+    def shared_remarks(self) -> list[str]:
+        """The remarks that hold for every model; they stand once, at the name of the metric."""
+        first, *others = map(remarks, self.known)
+        return [remark for remark in first if all(remark in other for other in others)]
+
+    def cells(self, best: Callable[[str], str], escaped: Callable[[str], str] = str) -> list[str]:
+        """Return name, direction, the models' values, that of the recordings, and chance as text.
+
+        Args:
+            best: marks the value that is bold.
+            escaped: changes each text before.
+        """
+        chance = [v for f in self.known[:1] for v in (f.chance, f.mismatched) if v is not None]
+        recorded = [f.recording for f in self.known if f.recording is not None]
+        values = [escaped(value_text(result)) for result in self.results]
+        if self.best is not None:
+            values[self.best] = best(values[self.best])
+        arrow = "" if self.contest is None else self.direction[0]
+        own = number(recorded[0]) if recorded else ""
+        others = (own, number(max(chance)) if chance else "")
+        return [self.definition.title, escaped(arrow), *values, *map(escaped, others)]
+
+
+def remarks(result: MetricResult) -> list[str]:
+    """Return what is to be known about a value: how informative it is, its basis, and its note."""
+    informative = "" if result.informative else "not informative here"
+    bare = "no interval" if result.interval.low is None else ""
+    return list(filter(None, (informative, bare, result.interval.count, result.note)))
+
+
+def rows_by_group(evaluation: Evaluation) -> dict[str, list[Row]]:
+    """Return {group of metrics: its rows} of the groups that have any."""
+    decided = contests(evaluation.models)
+    labels = [model.label for model in evaluation.models]
+    groups: dict[str, list[Row]] = {group: [] for group in GROUPS}
+    for definition in evaluation.definitions():
+        contest = decided.get(definition.key)
+        best = None if contest is None or contest.best is None else labels.index(contest.best)
+        results = tuple(model.metrics.get(definition.key) for model in evaluation.models)
+        groups[definition.group].append(Row(definition, results, contest, best))
+    return {group: rows for group, rows in groups.items() if rows}
+
+
+def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
+    """Yield warnings about intervals that are missing, with the data that would give them."""
+    few: dict[tuple[str, int], list[str]] = {}
+    for model in evaluation.models:
+        takes = Takes.of([clip.pair for clip in model.clips])
+        if takes.count < takes.needed:
+            few.setdefault((takes.in_words, takes.needed), []).append(model.label)
+    for (takes_in_words, needed), labels in few.items():
+        named = "" if len(few) == 1 else f"{', '.join(labels)}: "
+        yield (
+            f"{named}the clips come from {takes_in_words}: no intervals and no tests. "
+            "Differences between takes (recording sessions) cannot be estimated from fewer than "
+            f"{needed}; more clips or samples (seeds) of the same takes do not change that. "
+            f"Hold out {needed} or more takes"
+        )
 
 
 def headline_lines(evaluation: Evaluation) -> list[str]:
@@ -143,35 +286,13 @@ def summary_line(evaluation: Evaluation, report: Path | None) -> str:
 
 def agreement_lines(evaluation: Evaluation) -> list[str]:
     """Return the agreement with a study as lines; none without a study."""
-    agreement = evaluation.agreement
-    questions = () if agreement is None else agreement.questions
-    return [line for question in questions for line in _agreement(question)]
-
-
-def _agreement(found: QuestionAgreement) -> Iterator[str]:
-    """Yield the table of one question of a study, after an empty line."""
-    order = sorted(found.scores, key=lambda name: -found.scores[name])
-    scores = ", ".join(f"{printable(name)} {found.scores[name]:+.3g}" for name in order)
-    question = f" on {printable(found.question)}" if found.question else ""
-    yield from (
-        "",
-        f"Agreement with people{question}: {counted(found.raters, 'rater')}, "
-        f"{counted(found.clips, 'clip')}, {counted(found.ratings, 'rating')}.",
-        f"People's scores: {scores}.",
-    )
-    if not found.metrics:
-        yield "No metric can be compared: the values, or people's scores, are all equal."
-        return
-    for n, chance in sorted({(one.n, one.chance) for one in found.metrics}, reverse=True):
-        yield (
-            f"Chance, {n} systems: 95 % of random orders have a tau between {-chance:+.2f} and "
-            f"{chance:+.2f}; pairwise accuracy 50 %."
-            + ("" if chance < 1 else " These are too few systems: any order may be chance.")
-        )
-    yield conclusion(found)
-    head = ["  Metric", "Kendall's tau [95 %]", "without recordings", "p (Holm)"]
-    head += ["Spearman's rho", "pairs in order", "systems"]
-    yield from aligned([head, *map(_agreement_row, found.metrics)])
+    if evaluation.agreement is None or not evaluation.agreement.questions:
+        return []
+    environment = templates(_PAGE, autoescape=False)
+    environment.globals |= {"counted": counted, "conclusion": conclusion, "aligned": aligned}
+    environment.filters |= {"printable": printable, "row": _agreement_row}
+    template = environment.get_template("agreement.txt")
+    return template.render(questions=evaluation.agreement.questions).rstrip("\n").split("\n")
 
 
 def _agreement_row(metric: MetricAgreement) -> list[str]:
@@ -236,33 +357,34 @@ def _changed_values(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[
         yield f"  {name}: {number(was)} before, {number(now)}{unit} now{mark}"
 
 
+def templates(folder: Path, *, autoescape: bool = True) -> jinja2.Environment:
+    """Return an environment of the templates of a folder, in which names must be known."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=autoescape,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=not autoescape,
+        undefined=jinja2.StrictUndefined,
+    )
+
+
 def markdown(evaluation: Evaluation) -> str:
     """Return the table in Markdown, one heading line a group."""
-    labels = [_markdown(model.heading) for model in evaluation.models]
-    head = ["Metric", "", *labels, "Recording", "Chance"]
-    lines = [f"| {' | '.join(head)} |", f"|---|---|{'---:|' * (len(head) - 2)}"]
-    for group, rows in rows_by_group(evaluation).items():
-        lines.append(f"| **{group}** |{' |' * (len(head) - 1)}")
-        for name, *cells in (row.cells("**{}**".format) for row in rows):
-            lines.append(f"| {' | '.join((_markdown(name), *cells))} |")
-    return "\n".join((*lines, "", _caption(evaluation), ""))
+    return _table(evaluation, "table.md", _markdown)
 
 
 def latex(evaluation: Evaluation) -> str:
     """Return the table in LaTeX (booktabs), without a float around it."""
-    labels = [_latex(model.heading) for model in evaluation.models]
-    width = len(labels) + 4
-    lines = [
-        f"% {_latex(_caption(evaluation))}",
-        rf"\begin{{tabular}}{{ll{'r' * (width - 2)}}}",
-        r"\toprule",
-        " & ".join(["Metric", "", *labels, "Recording", "Chance"]) + r" \\",
-    ]
-    for group, rows in rows_by_group(evaluation).items():
-        lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textit{{{_latex(group)}}}}} \\"]
-        for name, *cells in (row.cells(r"\textbf{{{}}}".format, _latex) for row in rows):
-            lines.append(" & ".join([_latex(name), *cells]) + r" \\")
-    return "\n".join((*lines, r"\bottomrule", r"\end{tabular}", ""))
+    return _table(evaluation, "table.tex", _latex)
+
+
+def _table(evaluation: Evaluation, name: str, escaped: Callable[[str], str]) -> str:
+    """Return the table as a template writes it; names, and values of LaTeX, are escaped."""
+    environment = templates(_PAGE, autoescape=False)
+    environment.filters["escaped"] = escaped
+    groups = rows_by_group(evaluation)
+    return environment.get_template(name).render(evaluation=evaluation, groups=groups, latex=_latex)
 
 
 def csv_text(evaluation: Evaluation) -> str:
@@ -291,15 +413,6 @@ WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
     "latex": latex,
 }
 """Functions that return all results (json), or the table, as text, by name of the form."""
-
-
-def _caption(evaluation: Evaluation) -> str:
-    return (
-        f"{evaluation.basis} Mean and 95 % interval over takes. Bold: nearer to the recordings' "
-        "own value than every other model (paired over takes, Holm over rows). "
-        "Metrics of the whole set of clips have one value without an interval, never bold. "
-        "No arrow: a model is beyond the recordings' own value, which is the goal."
-    )
 
 
 def _markdown(text: str) -> str:

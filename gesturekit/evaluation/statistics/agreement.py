@@ -19,14 +19,9 @@ import numpy as np
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import (
-    Agreement,
-    MetricAgreement,
-    ModelResult,
-    QuestionAgreement,
-)
+from gesturekit.evaluation.results import Agreement, MetricAgreement, ModelResult, QuestionAgreement
+from gesturekit.evaluation.statistics.answers import Ratings
 from gesturekit.evaluation.statistics.intervals import FEW, LEVEL, holm
-from gesturekit.evaluation.statistics.ratings import Ratings
 from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
 from gesturekit.wording import counted, listed, printable
 
@@ -52,15 +47,14 @@ def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) ->
     """
     labels = [model.label for model in models]
     known = shared_systems(labels, ratings)
+    left_out = {
+        "were in the study and not evaluated": sorted(set(ratings.systems) - set(known)),
+        "were evaluated and not in the study": [name for name in labels if name not in known],
+    }
     notes = list(ratings.notes)
-    for names, where in (
-        (sorted(set(ratings.systems) - set(known)), "were in the study and not evaluated"),
-        ([label for label in labels if label not in known], "were evaluated and not in the study"),
-    ):
-        if names:
-            notes.append(
-                f"left out, as they {where}: {listed([printable(name[:40]) for name in names])}"
-            )
+    for where, names in left_out.items():
+        said = listed([printable(name[:40]) for name in names])
+        notes += [f"left out, as they {where}: {said}"] if names else []
     found = []
     among = ratings.among(known)
     for index, question in enumerate(ratings.questions):
@@ -79,24 +73,16 @@ def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) ->
 
 def conclusion(found: QuestionAgreement) -> str:
     """Return in one sentence which metrics order the models as people do."""
-    tested = [
-        (DEFINITIONS[one.key].name, one.of_models, one.p_holm)
-        for one in found.metrics
-        if one.of_models is not None and one.p_holm is not None
-    ]
+    tested = [one for one in found.metrics if one.of_models is not None and one.p_holm is not None]
     about = f" for {printable(found.question)}" if found.question else ""
-    certain = [(name, tau) for name, tau, p in tested if p < 1.0 - LEVEL]
-    sides = [
-        f"{listed(names)} {what}"
-        for names, what in (
-            ([name for name, tau in certain if tau > 0], "as people do"),
-            ([name for name, tau in certain if tau < 0], "the other way round"),
-        )
-        if names
-    ]
-    if sides:
-        return f"Established{about}: ordered {' and '.join(sides)} (Holm, {len(tested)} metrics)."
-    models = len([name for name in found.scores if name != RECORDING])
+    sides: dict[str, list[str]] = {"as people do": [], "the other way round": []}
+    for one in tested:
+        if (one.p_holm or 0.0) < 1.0 - LEVEL:
+            side = "as people do" if (one.of_models or 0.0) > 0 else "the other way round"
+            sides[side].append(DEFINITIONS[one.key].name)
+    if certain := [f"{listed(names)} {side}" for side, names in sides.items() if names]:
+        return f"Established{about}: ordered {' and '.join(certain)} (Holm, {len(tested)} metrics)."
+    models = len(found.scores.keys() - {RECORDING})
     return (
         f"No metric is established{about}: of {counted(len(tested), 'metric')}, none orders the "
         f"{counted(models, 'model')} significantly as people do, or the other way round (Holm)."
@@ -124,7 +110,7 @@ def _of_question(
     question: str, models: Sequence[ModelResult], scores: Scores, seed: int
 ) -> QuestionAgreement:
     """Return the agreement of all metrics with the scores for one question."""
-    metrics, tested = [], {}
+    metrics = []
     for key in DEFINITIONS:
         values = metric_values(models, key, scores.systems, seed)
         kept = np.array([i for i, name in enumerate(scores.systems) if name in values], int)
@@ -132,13 +118,15 @@ def _of_question(
             continue
         metric, *drawn = np.array([values[scores.systems[i]] for i in kept]).T
         if np.ptp(metric) > 0:
-            found, p = agreement_of(key, metric, np.array(drawn), scores, kept, seed)
+            found = agreement_of(key, metric, np.array(drawn), scores, kept, seed)
             known = all(m.metrics[key].informative for m in models if key in m.metrics)
-            metrics.append(replace(found, informative=known))
-            if known and p is not None:
-                tested[key] = p
-    adjusted = dict(zip(tested, holm(list(tested.values())).tolist(), strict=True))
-    metrics = [replace(one, p_holm=adjusted.get(one.key)) for one in metrics]
+            p = found.p_holm if known else None
+            metrics.append(replace(found, informative=known, p_holm=p))
+    p_values = [np.nan if one.p_holm is None else one.p_holm for one in metrics]
+    metrics = [
+        replace(one, p_holm=None if np.isnan(p) else p)
+        for one, p in zip(metrics, holm(p_values).tolist(), strict=True)
+    ]
     return QuestionAgreement(
         question,
         dict(zip(scores.systems, scores.values.tolist(), strict=True)),
@@ -150,14 +138,9 @@ def _of_question(
 
 
 def agreement_of(
-    key: str,
-    metric: np.ndarray,
-    drawn: np.ndarray,
-    scores: Scores,
-    kept: np.ndarray,
-    seed: int = 0,
-) -> tuple[MetricAgreement, float | None]:
-    """Return the agreement of one metric with people, and the p-value of its `of_models` alone.
+    key: str, metric: np.ndarray, drawn: np.ndarray, scores: Scores, kept: np.ndarray, seed: int = 0
+) -> MetricAgreement:
+    """Return the agreement of one metric with people, whose `p_holm` is not yet adjusted.
 
     Args:
         key: key of `definitions`.
@@ -181,11 +164,11 @@ def agreement_of(
     i, j = np.triu_indices(n, 1)
     certain = scores.differ[np.ix_(kept, kept)][i, j]
     same = (np.sign(metric[i] - metric[j]) * np.sign(people[i] - people[j]))[certain]
-    found = MetricAgreement(
+    return MetricAgreement(
         key,
         float(kendalltau(metric, people).statistic),
         of_models,
-        None,
+        p,
         low,
         high,
         float(spearmanr(metric, people).statistic),
@@ -194,7 +177,6 @@ def agreement_of(
         n,
         chance_range(n),
     )
-    return found, p
 
 
 def _interval(
@@ -247,15 +229,15 @@ def metric_values(
     The first one is the value, the others those of bootstrap samples of takes.
     """
     models = [m for m in models if key in m.metrics and m.label in known]
-    metrics = {m.label: m.metrics[key] for m in models}
-    away = _away(models, key, seed)
-    own = next((f.recording for f in metrics.values() if f.recording is not None), None)
-    values = {label: f.interval.value + away[label] for label, f in metrics.items()}
+    own = next((m.metrics[key].recording for m in models
+                if m.metrics[key].recording is not None), None)  # fmt: skip
     better = DEFINITIONS[key].better
-    if own is not None and better == "reference":  # the recordings would be first by definition
-        return {label: -abs(v - (own + away[RECORDING])) for label, v in values.items()}
-    if better == "reference":
+    if not models or (own is None and better == "reference"):
         return {}
+    away = _away(models, key, seed)
+    values = {m.label: m.metrics[key].interval.value + away[m.label] for m in models}
+    if own is not None and better == "reference":  # the recordings would be first by definition
+        return {label: -abs(value - (own + away[RECORDING])) for label, value in values.items()}
     if own is not None and RECORDING in known:
         values.setdefault(RECORDING, own + away[RECORDING])
     sign = -1.0 if better == "lower" else 1.0
@@ -269,23 +251,21 @@ def _away(models: Sequence[ModelResult], key: str, seed: int) -> Mapping[str, np
     takes.
     """
     sides = {m.label: [(clip.pair, clip.metrics) for clip in m.clips] for m in models}
-    first = models[0].clips if models else []
-    sides.setdefault(RECORDING, [(clip.pair, clip.recording) for clip in first])
-    means: dict[str, dict[tuple[str, str], float]] = {}
+    sides.setdefault(RECORDING, [(clip.pair, clip.recording) for clip in models[0].clips])
+    tables: dict[str, dict[tuple[str, str], float]] = {}
     for label, clips in sides.items():
-        takes: dict[tuple[str, str], list[float]] = {}
+        takes: dict[tuple[str, str], list[float]] = defaultdict(list)
         for pair, metrics in clips:
-            takes.setdefault((pair.speaker or "", pair.take), []).append(metrics.get(key, np.nan))
-        means[label] = {take: float(np.mean(values)) for take, values in takes.items()}
-    if np.isnan(list(means[RECORDING].values())).any():
-        del means[RECORDING]
-    common = sorted(set.intersection(*map(set, means.values())))
-    table = {label: np.array([found[take] for take in common]) for label, found in means.items()}
+            takes[pair.speaker or "", pair.take].append(metrics.get(key, np.nan))
+        tables[label] = {take: float(np.mean(values)) for take, values in takes.items()}
+    if np.isnan([*tables[RECORDING].values()]).any():
+        del tables[RECORDING]
+    common = sorted(set.intersection(*map(set, tables.values())))
+    values = np.array([[table[take] for take in common] for table in tables.values()])
     away: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(1 + RESAMPLES))
-    n = len(common)
-    if n >= FEW and not any(np.isnan(values).any() for values in table.values()):
+    if (n := len(common)) >= FEW and not np.isnan(values).any():
         shares = np.full(n, 1.0 / n)
         drawn = np.random.default_rng(seed).multinomial(n, shares, RESAMPLES) / n
         drawn = np.vstack([shares, drawn])
-        away |= {label: drawn @ values - values.mean() for label, values in table.items()}
+        away |= {label: drawn @ row - row.mean() for label, row in zip(tables, values)}
     return away

@@ -172,30 +172,13 @@ def _spread_of_takes(
     return float(np.sqrt((away**2).sum() / free))
 
 
-def bounds_of(
-    value: float, values: np.ndarray, speakers: np.ndarray, within: tuple[float, float] = ANY
-) -> tuple[float, float] | None:
-    """Return the 95 % interval of a value from one value a take; None with too few takes.
-
-    None as well for a value at a bound of its metric, such as a share of 0 %: its spread there
-    says nothing.
-
-    Args:
-        value: the mean over takes, or a statistic of all takes.
-        values: (R,) the values of the takes, or the statistic's pseudo-values (`pseudo_values`).
-        speakers: (R,) number of each take's speaker, from 0.
-        within: the bounds of the metric.
-    """
-    error = standard_error(values, speakers, within)
-    return None if error is None else bounds_about(value, *error, within)
-
-
 def bounds_about(
     value: float, error: float, free: int, within: tuple[float, float] = ANY
 ) -> tuple[float, float] | None:
     """Return the 95 % interval of a value with a standard error of `free` degrees of freedom.
 
-    None for a value at a bound of its metric.
+    None for a value at a bound of its metric, such as a share of 0 %: its spread there says
+    nothing.
     """
     from scipy.stats import t
 
@@ -208,17 +191,13 @@ def bounds_about(
 
 def scaled_like(interval: Interval, value: float, within: tuple[float, float]) -> Interval:
     """Return an interval that is as wide about another value, on the scale of the metric."""
-    low, high = interval.low, interval.high
-    if low is None or high is None or not within[0] < value < within[1]:
+    if interval.low is None or interval.high is None or not within[0] < value < within[1]:
         return replace(interval, value=value, low=None, high=None)
-    low, high = _scale(low, within), _scale(high, within)
     shift = _scale(value, within) - _scale(interval.value, within)
-    return replace(
-        interval,
-        value=value,
-        low=_unscale(low + shift, within),
-        high=_unscale(high + shift, within),
+    low, high = (
+        _unscale(_scale(bound, within) + shift, within) for bound in (interval.low, interval.high)
     )
+    return replace(interval, value=value, low=low, high=high)
 
 
 def _scale(value: np.ndarray | float, within: tuple[float, float]) -> np.ndarray:
@@ -278,18 +257,17 @@ def interval_of(
 def interval_about(
     value: float, units: np.ndarray, takes: Takes, within: tuple[float, float] = ANY
 ) -> Interval:
-    """Return the interval of a value with one value (or pseudo-value) a take; see `bounds_of`."""
-    low, high = bounds_of(value, units, takes.speakers, within) or (None, None)
+    """Return the interval of a value with one value (or pseudo-value) a take."""
+    error = standard_error(units, takes.speakers, within)
+    low, high = (error and bounds_about(value, *error, within)) or (None, None)
     speakers = len(set(takes.speakers))
     return Interval(value, low, high, takes.weights.shape[1], takes.count, "takes", speakers)
 
 
 def interval_over_samples(values: Sequence[float], within: tuple[float, float] = ANY) -> Interval:
     """Return mean and interval over the samples (seeds) of one recording."""
-    samples = np.asarray(values, np.float64)
-    value, n = float(samples.mean()), len(samples)
-    low, high = bounds_of(value, samples, np.zeros(n, int), within) or (None, None)
-    return Interval(value, low, high, n, n, "samples")
+    each = Takes(np.eye(len(values)), np.zeros(len(values), int))
+    return replace(interval_of(values, each, within), over="samples")
 
 
 def interval_of_statistic(

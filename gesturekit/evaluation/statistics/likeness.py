@@ -24,7 +24,7 @@ import numpy as np
 from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import GroupLikeness, Interval, Level, MetricResult
 from gesturekit.evaluation.statistics.intervals import FEW, LEAST_FREEDOM, bounds_about
-from gesturekit.evaluation.statistics.levels import CEILING
+from gesturekit.evaluation.statistics.model_metrics import CEILING
 from gesturekit.evaluation.statistics.thresholds import (
     FORWARD,
     FULL_CREDIT,

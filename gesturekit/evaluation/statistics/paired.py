@@ -12,7 +12,7 @@ the recordings' own.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,23 +58,20 @@ class Contest:
 
 def contests(models: Sequence[ModelResult]) -> dict[str, Contest]:
     """Return {key: contest} of all rows whose recordings' own value is known."""
-    rows, tested = {}, {}
+    rows = {}
     for key in DEFINITIONS:
-        metrics = {m.label: m.metrics[key] for m in models if key in m.metrics}
-        own = next((f.recording for f in metrics.values() if f.recording is not None), None)
-        if own is None:
-            continue
-        values = {label: result.interval.value for label, result in metrics.items()}
-        distances = {label: float(distance(key, value, own)) for label, value in values.items()}
-        rows[key] = Contest(key, own, distances, _direction(key, own, values.values()))
-        p = _tested(key, [m for m in models if key in m.metrics], distances)
-        if p is not None:
-            tested[key] = p
-    for key, adjusted in zip(tested, holm(list(tested.values())), strict=True):
-        row = rows[key]
-        nearest = min(row.distances, key=row.distances.__getitem__)
-        best = nearest if adjusted < 1.0 - LEVEL else None
-        rows[key] = Contest(key, row.own, row.distances, row.direction, best, float(adjusted))
+        known = [model for model in models if key in model.metrics]
+        values = {model.label: model.metrics[key].interval.value for model in known}
+        own = next((own for m in known if (own := m.metrics[key].recording) is not None), None)
+        if own is not None:
+            distances = {label: float(distance(key, v, own)) for label, v in values.items()}
+            direction = _direction(key, own, values.values())
+            rows[key] = Contest(key, own, distances, direction, p=_tested(key, known, distances))
+    adjusted = holm([np.nan if row.p is None else row.p for row in rows.values()]).tolist()
+    for (key, row), p in zip([*rows.items()], adjusted, strict=True):
+        if row.p is not None:
+            best = min(row.distances, key=row.distances.__getitem__) if p < 1.0 - LEVEL else None
+            rows[key] = replace(row, best=best, p=p)
     return rows
 
 
@@ -115,43 +112,59 @@ def _tested(
 def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
     """Return the two-sided p-value of the difference of two models' values, the nearer one first.
 
-    1 if it is not surely enough the nearer one (`NEARER`).
+    1 if it is not surely enough the nearer one (`NEARER`); None with too few takes.
     """
     if key == "likeness":
-        return _likeness_difference(one, other)
-    both = [_by_recording(model) for model in (one, other)]
-    names = sorted(
-        name for name in both[0].keys() & both[1].keys()
-        if all(_has(key, side[name]) for side in both)
+        ours, theirs = (pseudo_values_of(m.metrics[key].groups) for m in (one, other))
+        takes = sorted(ours.keys() & theirs.keys())
+        sides = [np.array([side[take] for take in takes]) for side in (ours, theirs)]
+        distances = [-side for side in sides]
+        speakers = np.unique([group for group, _ in takes], return_inverse=True)[1]
+    else:
+        sides, distances, speakers = _take_values(key, one, other)
+    p = p_of_difference(sides[0], sides[1], speakers)
+    farther = p_of_difference(distances[1], distances[0], speakers, above=True)
+    return p if p is None or (farther is not None and farther <= 1.0 - NEARER) else 1.0
+
+
+def _take_values(
+    key: str, *models: ModelResult
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Return values (R,) of models by take, distances to the recordings', and speakers (R,).
+
+    They are of the recordings of which each clip of all models has the value. The distances are
+    pseudo-values of the jackknife. Nothing with fewer than `FEW` takes.
+    """
+    clips = [_by_recording(model) for model in models]
+    stems = sorted(
+        stem for stem in set.intersection(*map(set, clips))
+        if all(key in clip.metrics for side in clips for clip in side[stem])
     )  # fmt: skip
-    if not names:
-        return None
-    found = [
-        _take_values(key, model, [clip for name in names for clip in side[name]])
-        for model, side in zip((one, other), both, strict=True)
-    ]
-    (ours, our_distances, takes), (theirs, their_distances, _) = found
-    p = p_of_difference(ours, theirs, takes.speakers)
-    if p is None:
-        return None
-    farther = p_of_difference(their_distances, our_distances, takes.speakers, above=True)
-    return p if farther is not None and farther <= 1.0 - NEARER else 1.0
+    values, distances, speakers = [], [], np.zeros(0, int)
+    for model, side in zip(models, clips, strict=True):
+        chosen = [clip for stem in stems for clip in side[stem]]
+        takes = Takes.of([clip.pair for clip in chosen]) if chosen else None
+        if takes is None or takes.count < FEW:
+            return [speakers] * 2, [speakers] * 2, speakers
+        ours, speakers = takes.means([clip.metrics[key] for clip in chosen]), takes.speakers
+        theirs = np.full(len(ours), model.metrics[key].recording)
+        if all(key in clip.recording for clip in chosen):
+            theirs = takes.means([clip.recording[key] for clip in chosen])
+        values.append(ours)
+        distances.append(pseudo_values(
+            lambda weights, ours=ours, theirs=theirs: (  # type: ignore[misc]
+                distance(key, weights @ ours, weights @ theirs)
+            ),
+            takes.count,
+        ))  # fmt: skip
+    return values, distances, speakers
 
 
-def _likeness_difference(one: ModelResult, other: ModelResult) -> float | None:
-    """Return the p-value of the difference of two likenesses, take by take."""
-    ours, theirs = (pseudo_values_of(model.metrics["likeness"].groups) for model in (one, other))
-    takes = sorted(ours.keys() & theirs.keys())
-    names = sorted({group for group, _ in takes})
-    one_by_take, other_by_take = (
-        np.array([side[take] for take in takes]) for side in (ours, theirs)
-    )
-    speakers = np.array([names.index(group) for group, _ in takes], int)
-    p = p_of_difference(one_by_take, other_by_take, speakers)
-    if p is None:
-        return None
-    nearer = p_of_difference(one_by_take, other_by_take, speakers, above=True)
-    return p if nearer is not None and nearer <= 1.0 - NEARER else 1.0
+def _by_recording(model: ModelResult) -> dict[str, list[ClipResult]]:
+    found: dict[str, list[ClipResult]] = {}
+    for clip in model.clips:
+        found.setdefault(clip.pair.stem, []).append(clip)
+    return found
 
 
 def p_of_difference(
@@ -178,56 +191,22 @@ def p_of_difference(
     return two_sided / 2.0 if difference.mean() > 0.0 else 1.0 - two_sided / 2.0
 
 
-def _take_values(
-    key: str, model: ModelResult, clips: Sequence[ClipResult]
-) -> tuple[np.ndarray, np.ndarray, Takes]:
-    """Return a model's values (R,) by take, their distances to the recordings', and the takes.
-
-    The distances are pseudo-values of the jackknife.
-    """
-    takes = Takes.of([clip.pair for clip in clips])
-    if takes.count < FEW:  # not tested
-        return np.zeros(takes.count), np.zeros(takes.count), takes
-    ours = takes.means([clip.metrics[key] for clip in clips])
-    theirs = np.full(len(ours), model.metrics[key].recording)
-    if all(key in clip.recording for clip in clips):
-        theirs = takes.means([clip.recording[key] for clip in clips])
-    distances = pseudo_values(
-        lambda weights: distance(key, weights @ ours, weights @ theirs), takes.count
-    )
-    return ours, distances, takes
-
-
-def _has(key: str, clips: Sequence[ClipResult]) -> bool:
-    """True if the row can be computed for each of the clips."""
-    return all(key in clip.metrics for clip in clips)
-
-
-def _by_recording(model: ModelResult) -> dict[str, list[ClipResult]]:
-    found: dict[str, list[ClipResult]] = {}
-    for clip in model.clips:
-        found.setdefault(clip.pair.stem, []).append(clip)
-    return found
-
-
 def _chance(key: str, model: ModelResult) -> float:
-    """Return the p-value against the chance level, one-sided; 0 of metrics that have none."""
-    known = [
-        (clip, value) for clip in model.clips if (value := _above_chance(key, clip)) is not None
-    ]
-    if not known:
+    """Return the p-value against the chance level, one-sided; 0 of metrics that have none.
+
+    The level is the higher one of that of shifted sound and that of other recordings.
+    """
+    pairs, above = [], []
+    for clip in model.clips:
+        levels = [clip.metrics.get(f"{key}_chance"), clip.mismatched.get(key)]
+        known = [level for level in levels if level is not None]
+        if key.endswith("_z") or key == "in_time":
+            known = [0.0]
+        if key in clip.metrics and known:
+            pairs.append(clip.pair)
+            above.append(clip.metrics[key] - max(known))
+    if not pairs:
         return 0.0
-    takes = Takes.of([clip.pair for clip, _ in known])
-    above = takes.means([value for _, value in known])
-    p = p_of_difference(above, np.zeros(takes.count), takes.speakers, above=True)
+    takes = Takes.of(pairs)
+    p = p_of_difference(takes.means(above), np.zeros(takes.count), takes.speakers, above=True)
     return 1.0 if p is None else p
-
-
-def _above_chance(key: str, clip: ClipResult) -> float | None:
-    """Return how far a clip's value is above its chance level, or other recordings' level."""
-    value = clip.metrics.get(key)
-    if value is None or key.endswith("_z") or key == "in_time":
-        return value
-    levels = [clip.metrics.get(f"{key}_chance"), clip.mismatched.get(key)]
-    known = [level for level in levels if level is not None]
-    return value - max(known) if known else None

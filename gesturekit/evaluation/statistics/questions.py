@@ -6,6 +6,8 @@ speech." All thresholds are in `thresholds`.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -15,22 +17,20 @@ from gesturekit.evaluation.metrics.arms import ARM_KEYS
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     ClipResult,
-    Level,
     MetricResult,
     ModelResult,
     QuestionAnswer,
 )
 from gesturekit.evaluation.statistics import thresholds
-from gesturekit.evaluation.statistics.levels import (
-    add_speech_blind_floors,
+from gesturekit.evaluation.statistics.likeness import ASPECTS, aspects_of
+from gesturekit.evaluation.statistics.model_metrics import (
+    above_chance,
+    add_floors,
     least_likeness,
     level_text,
-    mark_reached_floors,
     on_its_floor,
     reached_floor,
 )
-from gesturekit.evaluation.statistics.likeness import ASPECTS, aspects_of
-from gesturekit.evaluation.statistics.model_metrics import above_chance
 from gesturekit.wording import listed
 
 QUESTIONS = {
@@ -45,8 +45,7 @@ Results = Mapping[str, MetricResult]
 
 def answer_questions(models: Sequence[ModelResult]) -> None:
     """Give each model answers and a verdict; models that ignore speech are floors of timing."""
-    add_speech_blind_floors(models)
-    mark_reached_floors(models)
+    add_floors(models)
     for model in models:
         model.answers = answers_of(model.clips, model.metrics)
         model.verdict = verdict(model.metrics)
@@ -73,19 +72,19 @@ def _with_level(sentence: str, result: MetricResult | None) -> str:
     """Return an answer that says where its score is above the ceiling or no higher than a floor."""
     if result is None or not result.informative:
         return sentence
-    floor, ceiling, value = on_its_floor(result), result.ceiling, result.interval.value
-    if floor is not None:
+    if floor := on_its_floor(result):
         text = f"no higher than its floor, {level_text(floor)}"
-    elif result.key != "novelty" and ceiling is not None and _is_above(value, ceiling):
-        text = f"above its ceiling, {level_text(ceiling)}"
+    elif result.ceiling is not None and result.key != "novelty" and _is_above_ceiling(result):
+        text = f"above its ceiling, {level_text(result.ceiling)}"
     else:
         return sentence
     return f"{sentence.removesuffix('.')}; {text}."
 
 
-def _is_above(value: float, ceiling: Level | None) -> bool:
+def _is_above_ceiling(result: MetricResult) -> bool:
     """Return whether a score is above the ceiling by more than its spread."""
-    return ceiling is not None and value > ceiling.value + (ceiling.spread or 0.0)
+    ceiling = result.ceiling
+    return ceiling is not None and (result.interval.value > ceiling.value + (ceiling.spread or 0.0))
 
 
 def _cannot_be_answered(why: str) -> tuple[str, str]:
@@ -101,39 +100,47 @@ def _no_room(result: MetricResult) -> str:
     return f"the floor, {level_text(floor)}, is not surely below the ceiling, {ceiling}."
 
 
+def _value(metrics: Results, key: str) -> float:
+    """Return a value of the model, NaN without one."""
+    return metrics[key].interval.value if key in metrics else math.nan
+
+
+def _own(metrics: Results, key: str) -> float:
+    """Return the recordings' own value, 0 without one."""
+    return (metrics[key].recording if key in metrics else None) or 0.0
+
+
+def _ratio(metrics: Results, key: str) -> float:
+    """Return a value over the recordings' own, NaN without either."""
+    return _value(metrics, key) / (_own(metrics, key) or math.nan)
+
+
 def defects(metrics: Results) -> str:
     """Return in words what is broken about a motion, whatever else is measured; "" if nothing.
 
     Rotations that are not so far beyond the recordings' range, in motion that is nowhere near the
     recorded one, may be those of another speaker as well.
     """
-
-    def value(key: str) -> float | None:
-        result = metrics.get(key)
-        return None if result is None else result.interval.value
-
-    def own(key: str) -> float:
-        return (metrics[key].recording if key in metrics else None) or 0.0
-
-    found, what = [], "broken"
-    beyond, apart, covered = value("joint_limits"), value("one_nn"), value("within_reach")
-    more = 0.0 if beyond is None else beyond - own("joint_limits")
-    alien = apart is not None and apart >= thresholds.SEPARABLE > own("one_nn")
-    empty = covered is not None and covered < thresholds.COVERED * own("within_reach")
-    if more > (thresholds.FAR_BEYOND_LIMITS if alien and empty else thresholds.BEYOND_LIMITS):
-        found.append(f"{beyond:.0f} % of joint rotations are beyond the recordings' range")
-        what = "broken" if more > thresholds.BEYOND_LIMITS else "broken, or another speaker's"
-    for key, limit, text in (
-        ("feet_above_floor", thresholds.FLOATING, "the feet are {:.0f} mm above the floor"),
-        ("bone_length_change", thresholds.STRETCHED, "bones change their length by {:.0f} %"),
-    ):
-        if (value(key) or 0.0) - 2.0 * own(key) > limit:
-            found.append(text.format(value(key)))
-            what = "broken"
+    keys = ("joint_limits", "feet_above_floor", "bone_length_change")
+    beyond, feet, bones = (_value(metrics, key) for key in keys)
+    own_beyond, own_feet, own_bones = (_own(metrics, key) for key in keys)
     shaken = _ratio(metrics, "jerk_genea")
-    if shaken is not None and shaken > thresholds.SHAKEN:
-        found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")
-        what = "broken"
+    limits = f"{beyond:.0f} % of joint rotations are beyond the recordings' range"
+    rules = [
+        (beyond - own_beyond > thresholds.BEYOND_LIMITS, limits),
+        (feet - 2 * own_feet > thresholds.FLOATING, f"the feet are {feet:.0f} mm above the floor"),
+        (
+            bones - 2 * own_bones > thresholds.STRETCHED,
+            f"bones change their length by {bones:.0f} %",
+        ),
+        (shaken > thresholds.SHAKEN, f"it shakes ({shaken:.0f} times the recordings' jerk)"),
+    ]
+    what = "broken" if any(holds for holds, _ in rules) else "broken, or another speaker's"
+    alien = _value(metrics, "one_nn") >= thresholds.SEPARABLE > _own(metrics, "one_nn")
+    covered = thresholds.COVERED * _own(metrics, "within_reach")
+    if alien and _value(metrics, "within_reach") < covered:
+        rules[0] = (beyond - own_beyond > thresholds.FAR_BEYOND_LIMITS, limits)
+    found = [text for holds, text in rules if holds]
     return f"{what}: {', '.join(found)}" if found else ""
 
 
@@ -142,8 +149,17 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     result = metrics.get("in_time")
     if result is None or result.recording is None:
         return "not measured", "Not measured: no speech with arms to move."
-    if not result.informative:
-        return _timing_without_recordings(clips, metrics)
+    if not result.informative:  # the model alone is asked: is it above its own chance level?
+        if no_room := _no_room(result):
+            return _cannot_be_answered(no_room)
+        seconds = sum({c.pair.of: c.seconds for c in clips}.values())
+        few = (
+            f"{seconds:.0f} s of speech are too few, or move the speaker's arms too little, to say "
+            "whether as much as the speaker."
+        )
+        if _above_chance(metrics):
+            return "partly", f"In time with the speech more than by chance; {few}"
+        return UNANSWERABLE, f"Not in time with the speech more than by chance; {few}"
     low = result.interval.low
     share = result.interval.value / result.recording
     if low is None:
@@ -155,75 +171,49 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     if share < thresholds.IN_TIME:
         return "partly", "Loosely in time with the speech."
     if share > thresholds.TOO_STRICT:
-        text = "In time with the speech, more strictly than the speaker."
-        return "partly", text
+        return "partly", "In time with the speech, more strictly than the speaker."
     return "yes", "As much in time with the speech as the speaker."
-
-
-def _timing_without_recordings(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
-    """Return whether a model is above its own chance level, where recordings give no measure."""
-    result = metrics["in_time"]
-    if no_room := _no_room(result):
-        return _cannot_be_answered(no_room)
-    seconds = sum({c.pair.of: c.seconds for c in clips}.values())
-    few = (
-        f"{seconds:.0f} s of speech are too few, or move the speaker's arms too little, to say "
-        "whether as much as the speaker"
-    )
-    if _above_chance(metrics):
-        text = f"In time with the speech more than by chance; {few}."
-        return "partly", text
-    text = f"Not in time with the speech more than by chance; {few}."
-    return UNANSWERABLE, text
 
 
 def _above_chance(metrics: Results) -> bool:
     """Return whether a model's own sync is above its chance level."""
-    low, sds = metrics["in_time"].interval.low, metrics.get("sync_z")
-    if low is not None:
-        return low > 0.0
-    return sds is not None and sds.interval.value >= thresholds.ABOVE_CHANCE
+    low = metrics["in_time"].interval.low if "in_time" in metrics else -math.inf
+    return _value(metrics, "sync_z") >= thresholds.ABOVE_CHANCE if low is None else low > 0.0
 
 
 def _likeness(metrics: Results) -> tuple[str, str]:
     result = metrics.get("likeness")
     if result is None:
-        text = "Not measured: no body parts to compare, or fewer than three clips of the speaker."
-        return "not measured", text
+        return "not measured", (
+            "Not measured: no body parts to compare, or fewer than three clips of the speaker."
+        )
     if not result.informative:
         few = "takes of this speaker are too unlike one another, or too short, to compare with."
         return _cannot_be_answered(_no_room(result) or few)
-    value = result.interval.value
+    value = math.nan if on_its_floor(result) else result.interval.value
     untested = "" if result.tested_against_speaker else "; not tested against another speaker"
-    if value >= least_likeness(result.ceiling) and on_its_floor(result) is None:
+    if value >= least_likeness(result.ceiling):
         return "yes", f"Moves like this speaker{untested}."
     aspects = aspects_of(result.groups)
     missed = sorted(
         (a for a in aspects if aspects[a] < thresholds.NAMED_ASPECT), key=aspects.__getitem__
     )
     differs = f"; what differs: {listed(missed, len(ASPECTS))}" if missed else ""
-    differs += _speakers(result) + untested
-    if value >= thresholds.LEAST_PARTLY_LIKE and on_its_floor(result) is None:
-        return "partly", f"Moves somewhat like this speaker{differs}."
-    return "no", f"Does not move like this speaker{differs}."
-
-
-def _speakers(result: MetricResult) -> str:
-    """Return the likeness to each speaker in words, if they differ; else ""."""
-    found = {group.name: group.value for group in result.groups}
-    if max(found.values(), default=0.0) - min(found.values(), default=0.0) < (
-        thresholds.SPEAKERS_DIFFER
-    ):
-        return ""
-    each = [f"{name or 'unnamed'} {value:.2f}" for name, value in found.items()]
-    return f"; it differs between speakers: {listed(each, 6)}"
+    speakers = {group.name or "unnamed": group.value for group in result.groups}
+    if speakers and np.ptp([*speakers.values()]) >= thresholds.SPEAKERS_DIFFER:
+        each = [f"{name} {likeness:.2f}" for name, likeness in speakers.items()]
+        differs += f"; it differs between speakers: {listed(each, 6)}"
+    if value >= thresholds.LEAST_PARTLY_LIKE:
+        return "partly", f"Moves somewhat like this speaker{differs}{untested}."
+    return "no", f"Does not move like this speaker{differs}{untested}."
 
 
 def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
-    result, still = metrics.get("novelty"), metrics.get("near_still")
-    if still is not None and still.interval.value >= thresholds.MOTIONLESS:
-        text = "the hands hardly move, and what does not move is near to any motion."
-        return _cannot_be_answered(text)
+    result = metrics.get("novelty")
+    if _value(metrics, "near_still") >= thresholds.MOTIONLESS:
+        return _cannot_be_answered(
+            "the hands hardly move, and what does not move is near to any motion."
+        )
     if result is None:
         splits = {getattr(getattr(c.pair.reference, "item", None), "split", "") for c in clips}
         text = "the clips are too short, or the rig's arms and legs are not known."
@@ -233,39 +223,31 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
             text = "no training motion is given; name a manifest that has a training split."
         return "not measured", f"Not asked: {text}"
     if not result.informative:
-        text = (
+        return _cannot_be_answered(
             "the recordings themselves are the same as training motion, or do not move. Look for "
             "one recording in two splits."
         )
-        return _cannot_be_answered(text)
-    ratios = {f"the {side} arm": _ratio(metrics, key) for side, key in ARM_KEYS.items()}
-    arms = [arm for arm, ratio in ratios.items() if ratio is not None and ratio < thresholds.COPIED]
-    seeds = _seeds(metrics)
-    if result.interval.value < thresholds.COPIED:
+    copied = [
+        f"the {side} arm"
+        for side, key in ARM_KEYS.items() if _ratio(metrics, key) < thresholds.COPIED
+    ]  # fmt: skip
+    value, share = result.interval.value, 100 * _ratio(metrics, "inter_diversity")
+    seeds = "" if math.isnan(share) else (
+        f"; two samples of one speech differ {share:.0f} % as much as two recordings do"
+    )  # fmt: skip
+    if value < thresholds.COPIED:
         return "no", f"Mostly copied from training motion{seeds}."
-    if arms:
-        text = f"Mostly copied from training motion: {' and '.join(arms)}{seeds}."
-        return "no", text
-    if result.interval.value < thresholds.NEAR:
+    if copied:
+        return "no", f"Mostly copied from training motion: {' and '.join(copied)}{seeds}."
+    if value < thresholds.NEAR:
         text = "Nearer to training motion than other recordings are: partly copied, or less lively"
         return "no", f"{text}{seeds}."
-    lowest = _ratio(metrics, "copying_low")
-    if lowest is not None and lowest < thresholds.OCCASIONALLY_COPIED:
-        text = f"New, but occasionally copied from training motion{seeds}."
-        return "partly", text
+    if _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED:
+        return "partly", f"New, but occasionally copied from training motion{seeds}."
     text = "New: as far from training motion as other recordings"
-    if _is_above(result.interval.value, result.ceiling):
+    if _is_above_ceiling(result):
         text = "New: farther from training motion than other recordings, as odd motion is too"
     return "yes", f"{text}{seeds}."
-
-
-def _seeds(metrics: Results) -> str:
-    """Return how much the samples of one recording differ, in words; "" with one sample."""
-    result = metrics.get("inter_diversity")
-    if result is None or not result.recording:
-        return ""
-    share = result.interval.value / result.recording
-    return f"; two samples of one speech differ {100 * share:.0f} % as much as two recordings do"
 
 
 _RATIO_WORDS = {
@@ -282,25 +264,17 @@ _RATIO_WORDS = {
 }
 
 
-def verdict(metrics: Mapping[str, MetricResult]) -> str:
+def verdict(metrics: Results) -> str:
     """Return a sentence on reach, speed, rests, timing, copying, likeness; "" if nothing is known.
 
     Args:
         metrics: results of a model by key of `definitions`, each with the recording's value.
     """
-    still = metrics.get("near_still")
-    if still is not None and still.interval.value >= thresholds.MOTIONLESS:
+    if _value(metrics, "near_still") >= thresholds.MOTIONLESS:
         return "The hands hardly move."
     if broken := defects(metrics):
         return f"The motion is {broken}."
-    phrases = [
-        *_movement_words(metrics),
-        *_rest_words(metrics),
-        *_timing_words(metrics),
-        *_copying_words(metrics),
-        *_likeness_words(metrics),
-    ]
-    text = ", ".join(phrases)
+    text = ", ".join((*_movement_words(metrics), *_timing_words(metrics), *_origin_words(metrics)))
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
@@ -312,19 +286,17 @@ def same_verdicts(models: Sequence[ModelResult]) -> Iterator[str]:
     alike: dict[str, list[ModelResult]] = {}
     for model in models:
         alike.setdefault(model.verdict, []).append(model)
-    for verdict_, same in alike.items():
-        if not verdict_ or len(same) < 2:
-            continue
+    for same in (same for words, same in alike.items() if words and len(same) > 1):
         differ = []
         for key, definition in DEFINITIONS.items():
             results = [m.metrics[key] for m in same if key in m.metrics]
-            known = [r.interval for r in results if r.informative and r.interval.low is not None]
-            least = min(known, key=lambda one: one.value, default=None)
-            most = max(known, key=lambda one: one.value, default=None)
-            if least is None or most is None or least.high is None or most.low is None:
-                continue
-            if least.high < most.low:
-                differ.append(f"{definition.name} ({least.value:.3g} to {most.value:.3g})")
+            intervals = [result.interval for result in results if result.informative]
+            known = [
+                (one.value, one.low, one.high)
+                for one in intervals if one.low is not None and one.high is not None
+            ]  # fmt: skip
+            if known and min(known)[2] < max(known)[1]:
+                differ.append(f"{definition.name} ({min(known)[0]:.3g} to {max(known)[0]:.3g})")
         names = listed([model.label for model in same])
         if differ:
             yield f"{names} have one verdict; they differ in {listed(differ, 3)}."
@@ -341,83 +313,65 @@ def in_words(ratio: float) -> str:
     return _RATIO_WORDS[min(_RATIO_WORDS, key=lambda named: abs(np.log(named / ratio)))]
 
 
-def _movement_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
-    said = {"reach": "has {}the speaker's reach"}
-    said["hand_q90"] = "its fast gestures have {}the speaker's speed"
-    for key, text in said.items():
-        if (ratio := _ratio(metrics, key)) is not None:
-            alike = _within(ratio, thresholds.ALIKE)
-            yield text.format("" if alike else f"{in_words(ratio)} ")
+def _movement_words(metrics: Results) -> Iterator[str]:
+    """Yield words on reach, speed and rests."""
+    low, high = thresholds.ALIKE
+    for key, before, after in (
+        ("reach", "has ", "the speaker's reach"),
+        ("hand_q90", "its fast gestures have ", "the speaker's speed"),
+    ):
+        if not math.isnan(ratio := _ratio(metrics, key)):
+            yield f"{before}{'' if low <= ratio <= high else f'{in_words(ratio)} '}{after}"
+    still = _value(metrics, "near_still")
+    if still > _own(metrics, "near_still") + thresholds.FROZEN:
+        yield f"its hands are frozen in {still:.0f} % of the time"
+    elif _own(metrics, "rest") >= thresholds.FEW_RESTS:
+        limits = (thresholds.HARDLY_EVER, *thresholds.RESTS_ALIKE)
+        yield (
+            "is hardly ever at rest",
+            "is seldom at rest",
+            "is at rest as much of the time as the speaker",
+            "is at rest more of the time than the speaker",
+        )[bisect_right(limits, _ratio(metrics, "rest"))]
 
 
-def _rest_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
-    rest, still = metrics.get("rest"), metrics.get("near_still")
-    if still is not None and still.interval.value > (still.recording or 0.0) + thresholds.FROZEN:
-        yield f"its hands are frozen in {still.interval.value:.0f} % of the time"
-    elif rest is not None and rest.recording and rest.recording >= thresholds.FEW_RESTS:
-        ratio = rest.interval.value / rest.recording
-        if ratio < thresholds.HARDLY_EVER:
-            yield "is hardly ever at rest"
-        elif ratio < thresholds.RESTS_ALIKE[0]:
-            yield "is seldom at rest"
-        elif ratio > thresholds.RESTS_ALIKE[1]:
-            yield "is at rest more of the time than the speaker"
-        else:
-            yield "is at rest as much of the time as the speaker"
-
-
-def _timing_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
+def _timing_words(metrics: Results) -> Iterator[str]:
+    """Yield words on calm and lively stretches, and on the time of movements."""
     calm, sync = metrics.get("calm_lively_r"), metrics.get("sync")
     if calm is not None and calm.informative and calm.interval.value < thresholds.FOLLOWS:
         yield "is calm and lively at other times than the speaker"
     if sync is None or sync.recording is None:
         return
-    levels = [level for level in (sync.mismatched, sync.chance) if level is not None]
-    chance = max(levels, default=0.0)
-    ours, own = sync.interval.value - chance, sync.recording - chance
+    chance = max((v for v in (sync.mismatched, sync.chance) if v is not None), default=0.0)
+    own = sync.recording - chance
     if own < thresholds.LEAST_SYNC or not sync.informative:
-        if "in_time" in metrics and _above_chance(metrics):
+        if _above_chance(metrics):
             yield "is in time with the speech more than by chance"
-    elif ours >= thresholds.IN_TIME * own:
-        yield "is in time with the speech"
-    elif ours >= thresholds.LOOSELY_IN_TIME * own:
-        yield "is loosely in time with the speech"
     else:
-        yield "is not in time with the speech"
+        limits = (thresholds.LOOSELY_IN_TIME, thresholds.IN_TIME)
+        share = (sync.interval.value - chance) / own
+        yield (
+            "is not in time with the speech",
+            "is loosely in time with the speech",
+            "is in time with the speech",
+        )[bisect_right(limits, share)]
 
 
-def _copying_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
-    median, low = _ratio(metrics, "copying"), _ratio(metrics, "copying_low")
-    if median is not None and median < thresholds.COPIED:
+def _origin_words(metrics: Results) -> Iterator[str]:
+    """Yield words on copies of recordings and on the likeness to the speaker."""
+    median = _ratio(metrics, "copying")
+    is_small = _ratio(metrics, "reach") < thresholds.ALIKE[0]  # and therefore near to any motion
+    if median < thresholds.COPIED:
         yield "is mostly copied from recordings"
-    elif (_ratio(metrics, "reach") or 1.0) < thresholds.ALIKE[0]:
-        return  # small motion is near to any
-    elif median is not None and median < thresholds.NEAR:
+    elif median < thresholds.NEAR and not is_small:
         yield "is partly copied from recordings"
-    elif low is not None and low < thresholds.OCCASIONALLY_COPIED:
+    elif _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED and not is_small:
         yield "is occasionally copied from recordings"
-
-
-_LIKENESS_WORDS = {
-    "yes": "moves like the speaker",
-    "partly": "moves only somewhat like the speaker",
-    "no": "does not move like the speaker",
-}
-
-
-def _likeness_words(metrics: Mapping[str, MetricResult]) -> Iterator[str]:
     state, _ = _likeness(metrics)
-    if state in _LIKENESS_WORDS:
-        yield _LIKENESS_WORDS[state]
-
-
-def _ratio(metrics: Mapping[str, MetricResult], key: str) -> float | None:
-    """Return a value over the recording's; None without either."""
-    result = metrics.get(key)
-    if result is None or not result.recording:
-        return None
-    return result.interval.value / result.recording
-
-
-def _within(ratio: float, limits: tuple[float, float]) -> bool:
-    return limits[0] <= ratio <= limits[1]
+    words = {
+        "yes": "moves like the speaker",
+        "partly": "moves only somewhat like the speaker",
+        "no": "does not move like the speaker",
+    }
+    if state in words:
+        yield words[state]

@@ -1,1 +1,0 @@
-"""Analysis of the answers of user studies."""
