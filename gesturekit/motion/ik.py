@@ -29,6 +29,10 @@ from gesturekit.motion.skeleton import Skeleton, global_rotations
 
 SOFTNESS = 0.03
 """Last share of the limb's length over which its extension is compressed."""
+STRETCH = 0.995
+"""Legs are not stretched beyond this share of their length, unless they were before."""
+HIP_DROP_SECONDS = 0.2
+"""Seconds before and after a foot out of reach over which the hips move down and up again."""
 _TINY = 1e-9
 
 
@@ -102,6 +106,27 @@ def reachable(
     left = np.maximum(length - begin, _TINY)
     beyond = np.maximum(distance - begin, 0)
     return np.where(distance <= begin, distance, begin + left * -np.expm1(-beyond / left))
+
+
+def too_high(away: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(T,) metres by which hips are too high for legs of a length (T,) to reach the ankles.
+
+    `away` (T, 3) are the vectors from the ankles to the hips, metres.
+    """
+    return away[:, 1] - np.sqrt(np.maximum(length**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
+
+
+def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
+    """(T,) smooth curve that is nowhere below `values` (T,), which are not negative.
+
+    It is a running maximum over `frames` before and after, smoothed by a Hann window.
+    """
+    if not values.any():
+        return values
+    around = np.pad(values, 2 * frames, mode="edge")
+    highest = np.lib.stride_tricks.sliding_window_view(around, 2 * frames + 1).max(axis=1)
+    window = np.hanning(2 * frames + 3)[1:-1]
+    return np.convolve(highest, window / window.sum(), mode="valid")
 
 
 def _height(a: np.ndarray, b: np.ndarray, base: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.motion.contacts import CONTACT_SPEED
-from gesturekit.motion.ik import Reach, bend_limbs
+from gesturekit.motion.ik import STRETCH, Reach, bend_limbs, smooth_upper_envelope, too_high
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
 from gesturekit.motion.parts.body_size import body_scale
@@ -27,10 +27,6 @@ from gesturekit.motion.rotations import (
 )
 from gesturekit.motion.skeleton import global_rotations
 
-_STRETCH = 0.995
-"""Legs are not stretched beyond this share of their length, unless the source's are."""
-HIP_DROP_SECONDS = 0.2
-"""Seconds before and after a foot out of reach over which the hips move down and up again."""
 _FEWEST_STANDING = 5
 """Frames in which a foot must stand for its height to be measured."""
 
@@ -194,11 +190,10 @@ class FootTargets:
         low = np.zeros(len(hips))
         for side in SIDES:
             length = self.target.leg_lengths()[side]
-            length = length * np.maximum(self.source.stretch[side], _STRETCH)
+            length = length * np.maximum(self.source.stretch[side], STRETCH)
             hip = positions[:, self.target.joints[f"{side}_hip"]] - self.hip_centre(positions)
             away = hips + hip - self.ankle(side, world)
-            reach = np.sqrt(np.maximum(length**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
-            low = np.maximum(low, away[:, 1] - reach)
+            low = np.maximum(low, too_high(away, length))
         low = smooth_upper_envelope(low, self.drop_frames)
         return np.stack([np.zeros_like(low), low, np.zeros_like(low)], axis=1)
 
@@ -255,19 +250,6 @@ def heading_of(turns: np.ndarray) -> np.ndarray:
     ahead = rotate_vectors(turns, np.broadcast_to(FORWARD, (len(turns), 3)))
     half = np.arctan2(ahead[:, 0], ahead[:, 2]) / 2
     return np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
-
-
-def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
-    """(T,) smooth curve that is nowhere below `values` (T,), which are not negative.
-
-    It is a running maximum over `frames` before and after, smoothed by a Hann window.
-    """
-    if not values.any():
-        return values
-    around = np.pad(values, 2 * frames, mode="edge")
-    highest = np.lib.stride_tricks.sliding_window_view(around, 2 * frames + 1).max(axis=1)
-    window = np.hanning(2 * frames + 3)[1:-1]
-    return np.convolve(highest, window / window.sum(), mode="valid")
 
 
 _INSIDE, _OUTSIDE = 0.4, 1.1

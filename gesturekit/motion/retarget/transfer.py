@@ -21,11 +21,11 @@ from dataclasses import replace
 import numpy as np
 
 from gesturekit.errors import MotionError
+from gesturekit.motion.ik import HIP_DROP_SECONDS
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
 from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
 from gesturekit.motion.retarget.targets import (
-    HIP_DROP_SECONDS,
     FootMotion,
     FootTargets,
     heading_of,
