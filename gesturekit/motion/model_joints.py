@@ -257,15 +257,7 @@ def first_moving_joint(motions: Sequence[Motion]) -> int:
     first = next((j for j in body if _moves(motions, j)), 0)
     below = {first, *skeleton.descendants(first)}
     others = [j for j in body if j not in below and _moves(motions, j)]
-    return _lowest_above(skeleton, [first, *others, *hips])
-
-
-def _lowest_above(skeleton: Skeleton, joints: Sequence[int]) -> int:
-    """Return the lowest joint that all `joints` are at or below."""
-    joint = joints[0]
-    while not set(joints) <= {joint, *skeleton.descendants(joint)}:
-        joint = skeleton.parents[joint]
-    return joint
+    return skeleton.common_ancestor(first, *others, *hips)
 
 
 def _moves(motions: Sequence[Motion], joint: int) -> bool:

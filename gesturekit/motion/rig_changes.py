@@ -109,10 +109,8 @@ def _kept_parents(skeleton: Skeleton, kept: Sequence[int]) -> dict[int, int]:
     above = {j: next((a for a in skeleton.ancestors(j) if a in staying), -1) for j in kept}
     roots = [j for j in kept if above[j] < 0]
     if len(roots) > 1:
-        first, second = roots[:2]
-        above_first = set(skeleton.ancestors(first))
-        common = next(j for j in skeleton.ancestors(second) if j in above_first)
-        one, two, three = (skeleton.names[j] for j in (first, second, common))
+        joints = (*roots[:2], skeleton.common_ancestor(*roots[:2]))
+        one, two, three = (skeleton.names[j] for j in joints)
         raise MotionError(f"no kept joint lies above both {one!r} and {two!r}; keep {three!r} too")
     return above
 

@@ -184,10 +184,6 @@ class Skeleton:
         """Return the indices of the children of `joint`."""
         return self._children[joint]
 
-    def is_leaf(self, joint: int) -> bool:
-        """Return whether `joint` has no children."""
-        return not self._children[joint]
-
     @cached_property
     def depth(self) -> tuple[int, ...]:
         """Depth of each joint in the tree; 0 for the root."""
@@ -210,6 +206,10 @@ class Skeleton:
             if self.parents[j] in below:
                 below.add(j)
         return tuple(sorted(below - {joint}))
+
+    def common_ancestor(self, *joints: int) -> int:
+        """Return the lowest joint that all `joints` are, or are below."""
+        return max(set.intersection(*({joint, *self.ancestors(joint)} for joint in joints)))
 
     def scaled(self, factor: float) -> Skeleton:
         """Return the rig with every offset and end site multiplied by `factor`.

@@ -10,8 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder
-from gesturekit.motion.parts.limbs import SIDES, bone_length, find_limbs, named_pairs
+from gesturekit.motion.parts.finder import (
+    ARM,
+    KNOWN_PARTS,
+    LEG,
+    PartFinder,
+    bone_length,
+    named_pairs,
+)
+from gesturekit.motion.parts.limbs import SIDES, find_limbs
 from gesturekit.motion.skeleton import Skeleton
 
 __all__ = [

@@ -12,7 +12,7 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.parts import arm_length, find_parts, leg_length
-from gesturekit.motion.parts.limbs import bare_name
+from gesturekit.motion.parts.finder import bare_name
 from gesturekit.motion.rotations import IDENTITY
 from gesturekit.motion.skeleton import Skeleton, forward_kinematics
 
@@ -135,7 +135,7 @@ def real_end_sites(skeleton: Skeleton) -> dict[str, tuple[np.ndarray, ...]]:
     real: dict[str, list[np.ndarray]] = {}
     for (name, site), made_up in zip(named, (off & copied) | too_long):
         joint = skeleton.index(name)
-        marks_end = skeleton.is_leaf(joint) and bare_name(name, "").endswith(_MARKERS)
+        marks_end = not skeleton.children(joint) and bare_name(name, "").endswith(_MARKERS)
         if joint == 0 or not (made_up or marks_end):
             real.setdefault(name, []).append(site)
     return {name: tuple(sites) for name, sites in real.items()}
