@@ -187,15 +187,13 @@ def with_root(motion: Motion, root: int, place: np.ndarray, world: np.ndarray) -
     Joints above it stay, those below it keep their local pose.
     """
     rotations = motion.rotations.copy()
+    if root:
+        parent = motion.skeleton.parents[root]
+        world = multiply_quaternions(
+            invert_quaternions(motion.global_rotations()[:, parent]), world
+        )
     rotations[:, root] = world
-    if root == 0:
-        return replace(motion, rotations=rotations, translation=place)
-    parent = motion.skeleton.parents[root]
-    back = invert_quaternions(motion.global_rotations()[:, parent])
-    rotations[:, root] = multiply_quaternions(back, world)
-    local = rotate_vectors(back, place - motion.positions()[:, parent])
-    moving = {**motion.joint_translations, motion.skeleton.names[root]: local}
-    return replace(motion, rotations=rotations, joint_translations=moving)
+    return replace(motion, rotations=rotations).with_joint_at(root, place)
 
 
 def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:

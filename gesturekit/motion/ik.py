@@ -137,7 +137,7 @@ def _height(a: np.ndarray, b: np.ndarray, base: np.ndarray) -> np.ndarray:
 
 def _mean_pole(bend: np.ndarray, turned: np.ndarray) -> np.ndarray:
     own = rotate_vectors(invert_quaternions(turned), bend).reshape(-1, 3).mean(axis=0)
-    return rotate_vectors(turned, np.broadcast_to(own, bend.shape))
+    return rotate_vectors(turned, own)
 
 
 def _turn(

@@ -19,7 +19,7 @@ from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rig_changes import keep_joints, mirror
-from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
+from gesturekit.motion.rotations import euler_from_quaternion, invert_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import (
     FARTHEST,
     ROTATION_ORDERS,
@@ -269,6 +269,19 @@ class Motion:
         names = ("skeleton", "rotations", "translation", "joint_translations")
         changed = change(*(getattr(self, name) for name in names), *arguments)
         return replace(self, info=dict(self.info), **dict(zip(names, changed)))
+
+    def with_joint_at(self, joint: int, place: np.ndarray) -> Motion:
+        """Return the motion with one joint at `place` (T, 3), metres.
+
+        Joints above it stay where they are; those below keep their local pose.
+        """
+        if joint == 0:
+            return replace(self, translation=place)
+        parent = self.skeleton.parents[joint]
+        back = invert_quaternions(self.global_rotations()[:, parent])
+        local = rotate_vectors(back, place - self.positions()[:, parent])
+        moving = {**self.joint_translations, self.skeleton.names[joint]: local}
+        return replace(self, joint_translations=moving)
 
     def scaled(self, factor: float) -> Motion:
         """Multiply all lengths by `factor`: skeleton, translation and joint translations.

@@ -68,7 +68,7 @@ def headings(world: np.ndarray, side: np.ndarray) -> np.ndarray:
         world: (T, 4) world rotations of the root.
         side: (3,) from `side_axis`.
     """
-    return headings_of_sides(rotate_vectors(world, np.broadcast_to(side, (len(world), 3))))
+    return headings_of_sides(rotate_vectors(world, side))
 
 
 def headings_of_sides(across: np.ndarray) -> np.ndarray:
@@ -329,22 +329,9 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
     positions, world = motion.positions(), motion.global_rotations()
     shift = np.zeros((motion.n_frames, 3))
     shift[:, GROUND] = path.positions - positions[:, root][:, GROUND]
-    moved = _shifted(motion, root, shift, world)
+    moved = motion.with_joint_at(root, positions[:, root] + shift)
     legs = find_legs(motion.skeleton)
     if legs is None:
         return moved
     ankles = [motion.skeleton.index(leg.ankle) for leg in legs.values()]
     return reach_feet(moved, positions[:, ankles], world[:, ankles])
-
-
-def _shifted(motion: Motion, root: int, shift: np.ndarray, world: np.ndarray) -> Motion:
-    """Return the motion with joint `root` and all joints below it moved by `shift` (T, 3), metres.
-
-    `world` (T, J, 4) are the joints' world rotations.
-    """
-    if root == 0:
-        return replace(motion, translation=motion.translation + shift)
-    name, parent = motion.skeleton.names[root], motion.skeleton.parents[root]
-    shift = rotate_vectors(invert_quaternions(world[:, parent]), shift)
-    position = motion.local_positions(name) + shift
-    return replace(motion, joint_translations={**motion.joint_translations, name: position})
