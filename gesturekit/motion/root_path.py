@@ -197,11 +197,6 @@ class RootPath:
         """Number of frames T."""
         return len(self.positions)
 
-    @property
-    def duration(self) -> float:
-        """Seconds, T / fps."""
-        return self.n_frames / self.fps
-
     def frames_within(self, fps: float) -> int:
         """Return the number of frames at `fps` from the path's first to its last, both included.
 
@@ -259,45 +254,24 @@ class RootPath:
         )
         return RootPath(np.stack([x, z], axis=1), angle, fps)
 
-    def slice(self, start_frame: int, stop_frame: int) -> RootPath:
-        """Return frames `start_frame` up to, not including, `stop_frame`.
-
-        Raises:
-            MotionError: the range is empty or exceeds the path.
-        """
-        if not 0 <= start_frame < stop_frame <= self.n_frames:
-            held = f"{start_frame} to {stop_frame} of a path of {self.n_frames} frames"
-            raise MotionError(f"frames {held}")
-        part = np.s_[start_frame:stop_frame]
-        return replace(self, positions=self.positions[part], headings=self.headings[part])
-
-    def smoothed(self, frames: int | None = None) -> RootPath:
-        """Return the centred moving average over `frames`, by default `SMOOTHED_SECONDS`.
+    def smoothed(self) -> RootPath:
+        """Return the centred moving average over `SMOOTHED_SECONDS`.
 
         Both ends are padded by point reflection: they keep their positions, and a straight walk
         does not change.
-
-        Raises:
-            MotionError: fewer than one frame.
         """
-        if frames is None:
-            frames = max(1, round(SMOOTHED_SECONDS * self.fps))
-        if frames < 1:
-            raise MotionError(f"frames is {frames}; a path is smoothed over at least 1")
+        frames = max(1, round(SMOOTHED_SECONDS * self.fps))
         # An even window has no central frame, so its two ends get half the weight.
         half = frames // 2
         weights = np.ones(2 * half + 1)
         if frames % 2 == 0:
             weights[[0, -1]] = 0.5
         weights /= weights.sum()
-
-        def smooth(values: np.ndarray) -> np.ndarray:
-            if self.n_frames == 1:
-                return values
-            wide = np.pad(values, half, mode="reflect", reflect_type="odd")
-            return np.convolve(wide, weights, mode="valid")
-
-        x, z, angle = (smooth(values) for values in (*self.positions.T, self.headings))
+        if self.n_frames == 1:
+            return self
+        columns = np.column_stack([self.positions, self.headings])
+        wide = np.pad(columns, [(half, half), (0, 0)], mode="reflect", reflect_type="odd")
+        x, z, angle = (np.convolve(values, weights, mode="valid") for values in wide.T)
         return replace(self, positions=np.stack([x, z], axis=1), headings=angle)
 
     def scaled(self, factor: float) -> RootPath:
