@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.motion.concatenation import carried, eased, with_root
+from gesturekit.motion.concatenation import carried, eased
 from gesturekit.motion.contacts import CONTACT_SPEED, floor_height, foot_positions
 from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.model_joints import first_moving_joint
@@ -165,7 +165,7 @@ def _on_body(pose: Motion, motion: Motion, root: int) -> Motion:
     place[:, 1] = (place[:, 1] - floor) * body_scale(motion.skeleton) / body_scale(pose.skeleton)
     place[:, 1] += floor_height(motion) if "floor" in pose.info else 0.0
     made = replace(motion[:1], rotations=rotations)
-    return with_root(made, root, place, pose.global_rotations()[:, root])
+    return made.with_joint_at(root, place, pose.global_rotations()[:, root])
 
 
 def _facing(motion: Motion, root: int, angle: float) -> Motion:

@@ -14,7 +14,7 @@ from gesturekit.motion.model_joints import ModelJoints
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.retarget.body_frames import standing_pose
 from gesturekit.motion.skeleton import GROUND
 
 _AROUND_SECONDS = 60.0

@@ -4,8 +4,7 @@ import numpy as np
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
-from gesturekit.motion.retarget.body_frames import BodyFrames
-from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose
+from gesturekit.motion.retarget.body_frames import FORWARD, BodyFrames, standing_pose
 from gesturekit.motion.rotations import rotate_vectors
 
 TOLERANCE = np.deg2rad(5.0)

@@ -37,8 +37,12 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.resampling import smoothstep
-from gesturekit.motion.retarget.body_frames import BodyFrames
-from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose, standing_rig
+from gesturekit.motion.retarget.body_frames import (
+    FORWARD,
+    BodyFrames,
+    standing_pose,
+    standing_rig,
+)
 from gesturekit.motion.rotations import (
     invert_quaternions,
     multiply_quaternions,
