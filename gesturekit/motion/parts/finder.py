@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -92,6 +93,53 @@ _MANY_LEGS, _ALIKE = 6, 0.8
 animal with more than two."""
 
 
+@dataclass(frozen=True)
+class Arm:
+    """Joint names of one arm; None where the rig has no such joint."""
+
+    clavicle: str | None
+    shoulder: str
+    elbow: str
+    wrist: str | None
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Joint names of one leg; None where the rig has no such joint."""
+
+    hip: str
+    knee: str
+    ankle: str
+    toe: str | None
+
+
+@dataclass(frozen=True)
+class BodyParts:
+    """Joint names by body part.
+
+    Attributes:
+        pelvis: joint where the legs meet the spine; without legs, the lowest joint of the trunk.
+        spine: joints above the pelvis up to the parent of the arms, in order.
+        neck: the lowest joint between spine and head; None if there is none.
+        head: None if the rig has none.
+        arms: "left" and "right".
+        legs: "left" and "right"; empty if the rig has no legs.
+        fingers: joints below the wrists, except hands and end joints.
+        face: joints below the head (jaw, eyes), except end joints.
+        ends: leaves that only mark the end of a bone ("HeadEnd", "LeftToe_End", "Nub").
+    """
+
+    pelvis: str
+    spine: tuple[str, ...]
+    neck: str | None
+    head: str | None
+    arms: Mapping[str, Arm]
+    legs: Mapping[str, Leg]
+    fingers: tuple[str, ...]
+    face: tuple[str, ...]
+    ends: tuple[str, ...]
+
+
 class PartFinder:
     """Limbs, trunk and end joints of one rig, as joint indices.
 
@@ -155,15 +203,6 @@ class PartFinder:
         return finder
 
     @classmethod
-    def of_legs(cls, skeleton: Skeleton) -> PartFinder | None:
-        """Return both legs, by name or by hand, of a rig whose other parts cannot be identified."""
-        finder = cls(skeleton)
-        legs = {part: finder.limbs[part] for part in _LEGS}
-        if not legs.keys().isdisjoint(finder.missing) or finder.has_many_legs():
-            return None
-        return None if any(implausible(skeleton, legs)) else finder
-
-    @classmethod
     def partial(cls, skeleton: Skeleton) -> PartFinder:
         """Return the parts that names and the user identify, for a rig that lacks some.
 
@@ -187,6 +226,10 @@ class PartFinder:
         joints = {part: self.limbs[f"{side}_{part}"] for part in parts}
         names = self.skeleton.names
         return {part: None if j is None else names[j] for part, j in joints.items()}
+
+    def legs(self) -> dict[str, Leg]:
+        """Return both legs by side."""
+        return {side: Leg(**self.limb(side, LEG)) for side in SIDES}
 
     def has_many_legs(self) -> bool:
         """Return whether a leg that names identify is one of six or more chains from one joint."""
@@ -427,6 +470,69 @@ class PartFinder:
             return []
         way = [bottom, *self.skeleton.ancestors(bottom)]
         return way[: way.index(top) + 1][::-1] if top in way else []
+
+
+@lru_cache(maxsize=64)  # skeletons never change
+def find_parts(skeleton: Skeleton) -> BodyParts:
+    """Identify the body parts of a rig, including those specified by hand (`Skeleton.parts`).
+
+    A rig with arms has no legs if nothing on its trunk could be a leg. Chains that could be, and
+    are not identified, are an error.
+
+    Raises:
+        MotionError: parts that cannot be identified, or are implausible (a knee that is not below
+            the hip, a left leg twice as long as the right one, ...). The error says which joint to
+            specify by hand.
+    """
+    finder = PartFinder.complete(skeleton)
+    pelvis, head, names = finder.pelvis, finder.head, skeleton.names
+    assert pelvis is not None
+    below_head = () if head is None else skeleton.descendants(head)
+    return BodyParts(
+        pelvis=names[pelvis],
+        spine=tuple(names[j] for j in finder.spine),
+        neck=names[finder.neck[0]] if finder.neck else None,
+        head=None if head is None else names[head],
+        arms={side: Arm(**finder.limb(side, ARM)) for side in SIDES},
+        legs=finder.legs() if finder.has_legs else {},
+        fingers=tuple(names[j] for j in finder.fingers()),
+        face=tuple(names[j] for j in below_head if j not in finder.ends),
+        ends=tuple(names[j] for j in sorted(finder.ends)),
+    )
+
+
+def known_parts(skeleton: Skeleton) -> BodyParts | None:
+    """Return `find_parts`, or None if the parts cannot be identified."""
+    try:
+        return find_parts(skeleton)
+    except MotionError:
+        return None
+
+
+def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
+    """Return the "left" and "right" leg of any rig; None without, or if they cannot be identified.
+
+    Unlike `find_parts`, this needs no other body parts, such as two arms or a head.
+    """
+    if parts := known_parts(skeleton):
+        return parts.legs or None
+    finder = PartFinder(skeleton)
+    limbs = {part: finder.limbs[part] for part in _LEGS}
+    if not limbs.keys().isdisjoint(finder.missing) or finder.has_many_legs():
+        return None
+    return None if any(implausible(skeleton, limbs)) else finder.legs()
+
+
+def require_legs(skeleton: Skeleton) -> Mapping[str, Leg]:
+    """Return `find_legs`, for what cannot be done without legs.
+
+    Raises:
+        MotionError: two legs cannot be identified, or the rig has none.
+    """
+    legs = find_legs(skeleton) or find_parts(skeleton).legs
+    if not legs:
+        raise MotionError("the rig has no legs")
+    return legs
 
 
 _CHAINS = (("clavicle", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "toe"))
