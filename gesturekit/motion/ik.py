@@ -70,11 +70,15 @@ def two_bone_ik(
     new = np.maximum(reachable(wanted, a + b, now), np.abs(a - b))
     bend = first - _dot(first, along) * along
     if pole is None:
-        pole = _mean_pole(bend, multiply_quaternions(above[..., 0, :], rotations[..., 0, :]))
+        turned = multiply_quaternions(above[..., 0, :], rotations[..., 0, :])
+        own = rotate_vectors(invert_quaternions(turned), bend).reshape(-1, 3)
+        pole = rotate_vectors(turned, own.mean(axis=0))
     if hinge:
         forward = _perpendicular(pole, along)
         bend = bend - 2 * np.minimum(_dot(bend, forward), 0) * forward
-    height = _height(a, b, new)
+    # Height of the triangle of both bones over the line from start to end.
+    cosine = (a**2 + new**2 - b**2) / np.maximum(2 * a * new, _TINY)
+    height = a * np.sqrt(np.maximum(1 - np.clip(cosine, -1, 1) ** 2, 0))
     # Existing bend, plus a bend along the pole if there was little.
     old = _length(bend)
     extra = np.maximum(height - old, 0) / (1 + (old / (0.1 * a + _TINY)) ** 2)
@@ -129,29 +133,16 @@ def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
     return np.convolve(highest, window / window.sum(), mode="valid")
 
 
-def _height(a: np.ndarray, b: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """(..., 1) height of the triangle with sides `a` and `b` over its base."""
-    cosine = (a**2 + base**2 - b**2) / np.maximum(2 * a * base, _TINY)
-    return a * np.sqrt(np.maximum(1 - np.clip(cosine, -1, 1) ** 2, 0))
-
-
-def _mean_pole(bend: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    own = rotate_vectors(invert_quaternions(turned), bend).reshape(-1, 3).mean(axis=0)
-    return rotate_vectors(turned, own)
-
-
 def _turn(
     bone: np.ndarray, normal: np.ndarray, new_bone: np.ndarray, new_normal: np.ndarray
 ) -> np.ndarray:
     """(..., 4) world rotation of a bone and the normal of the limb's plane (..., 3) to new ones."""
-    old, new = _basis(bone, normal), _basis(new_bone, new_normal)
-    return quaternion_from_matrix(new @ np.swapaxes(old, -1, -2))
-
-
-def _basis(bone: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    x = _unit(bone)
-    y = _perpendicular(normal, x)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
+    axes = []
+    for along, across in ((bone, normal), (new_bone, new_normal)):
+        x = _unit(along)
+        y = _perpendicular(across, x)
+        axes.append(np.stack([x, y, np.cross(x, y)], axis=-1))
+    return quaternion_from_matrix(axes[1] @ np.swapaxes(axes[0], -1, -2))
 
 
 def _conjugate(turn: np.ndarray, above: np.ndarray, local: np.ndarray) -> np.ndarray:

@@ -222,9 +222,8 @@ class Motion:
         Raises:
             MotionError: an invalid rate, fewer than one frame, or more than 8 GB of frames.
         """
-        resampler = Resampler(
-            self.n_frames, self.skeleton.n_joints, self.fps, fps, n_frames, antialias
-        )
+        rig, here = self.skeleton, self.fps
+        resampler = Resampler(self.n_frames, rig.n_joints, here, fps, n_frames, antialias)
         return self._changed(resampler.values, resampler.rotations(self.rotations), resampler.fps)
 
     def _changed(

@@ -13,7 +13,7 @@ from gesturekit.errors import MotionError
 from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_legs, heading_joints
+from gesturekit.motion.parts import ankle_joints, heading_joints
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import GROUND, checked
@@ -304,8 +304,5 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
     shift = np.zeros((motion.n_frames, 3))
     shift[:, GROUND] = path.positions - positions[:, root][:, GROUND]
     moved = motion.with_joint_at(root, positions[:, root] + shift)
-    legs = find_legs(motion.skeleton)
-    if legs is None:
-        return moved
-    ankles = [motion.skeleton.index(leg.ankle) for leg in legs.values()]
-    return reach_feet(moved, positions[:, ankles], world[:, ankles])
+    ankles = ankle_joints(motion.skeleton)
+    return reach_feet(moved, positions[:, ankles], world[:, ankles]) if ankles else moved

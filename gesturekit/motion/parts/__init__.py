@@ -30,6 +30,7 @@ __all__ = [
     "Arm",
     "BodyParts",
     "Leg",
+    "ankle_joints",
     "arm_joints",
     "arm_length",
     "body_joints",
@@ -79,6 +80,12 @@ def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
         sides = [[j for j in a if j not in b] for a, b in (chains, chains[::-1])]
         if len(sides[0]) == len(sides[1]):
             yield from ((skeleton.names[a], skeleton.names[b]) for a, b in zip(*sides))
+
+
+def ankle_joints(skeleton: Skeleton) -> list[int]:
+    """Return the joints of the left and right ankle; none without legs."""
+    legs = find_legs(skeleton) or {}
+    return [skeleton.index(leg.ankle) for leg in legs.values()]
 
 
 def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:
