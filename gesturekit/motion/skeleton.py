@@ -223,6 +223,15 @@ class Skeleton:
             levels[depth].append(j)
         return [(joints, [self.parents[j] for j in joints]) for joints in levels[1:]]
 
+    @cached_property
+    def rest_positions(self) -> np.ndarray:
+        """(J, 3) positions of the joints in the rest pose, the root at the origin, metres."""
+        places = self.offsets.copy()
+        places[0] = 0.0
+        for joints, parents in self.levels:
+            places[joints] += places[parents]
+        return places
+
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the joints above `joint`, the nearest first."""
         above = []

@@ -21,7 +21,7 @@ from gesturekit.motion.parts.finder import (
     named_pairs,
     require_legs,
 )
-from gesturekit.motion.parts.limbs import SIDES, find_limbs
+from gesturekit.motion.parts.limbs import SIDES, Limbs
 from gesturekit.motion.skeleton import Skeleton
 
 __all__ = [
@@ -63,8 +63,8 @@ def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     pairs = named_pairs(skeleton)
     if not pairs:
         with suppress(MotionError):
-            shape = find_limbs(skeleton)
-            pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
+            shape = Limbs(skeleton).pairs
+            pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape)
     pairs = [*by_hand.items(), *(pair for pair in pairs if specified.isdisjoint(pair))]
     return tuple(sorted(pairs, key=lambda pair: skeleton.index(pair[0])))
 

@@ -13,8 +13,7 @@ import numpy as np
 from gesturekit.errors import MotionError
 from gesturekit.motion.parts import arm_length, find_parts, leg_length
 from gesturekit.motion.parts.finder import bare_name
-from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.skeleton import Skeleton, forward_kinematics
+from gesturekit.motion.skeleton import Skeleton
 
 REFERENCE_SIZE = 1.4
 """Metres; size of the body that every constant in metres or m/s is given for, an adult of 1.7 m."""
@@ -77,10 +76,9 @@ def body_height(skeleton: Skeleton) -> float:
     try:
         height = stature(skeleton) / (1 - _ABOVE_AND_BELOW)
     except MotionError:
-        rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
         fork = first_fork(skeleton)
-        places = forward_kinematics(rest, np.zeros(3), skeleton)
-        height = float(np.ptp(places[[fork, *skeleton.descendants(fork)]], axis=0).max())
+        body = skeleton.rest_positions[[fork, *skeleton.descendants(fork)]]
+        height = float(np.ptp(body, axis=0).max())
     if height <= 0:
         raise MotionError("the rig has no bone of any length, and so no height")
     return height

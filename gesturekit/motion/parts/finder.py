@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts.limbs import SIDES, Limbs, find_limbs, reaches, rest_places
+from gesturekit.motion.parts.limbs import SIDES, Limbs, reaches
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.wording import listed
 
@@ -430,7 +430,7 @@ class PartFinder:
             f"`parts: {{{first}: JOINT}}`"
         )
         try:
-            shape = find_limbs(self.skeleton)
+            shape = Limbs(self.skeleton)
         except MotionError as error:
             raise MotionError(f"{problem} ({error}); {by_hand}") from None
         for part, joint in self.limbs.items():
@@ -597,8 +597,7 @@ def _wrong_lengths(skeleton: Skeleton, known: Mapping[str, int]) -> Iterator[str
 
 def _wrong_sides(skeleton: Skeleton, known: Mapping[str, int]) -> Iterator[str]:
     """Yield the left hip if the toes of a rig that stands at rest contradict left and right."""
-    places = rest_places(skeleton)
-    at = {part: places[joint] for part, joint in known.items()}
+    at = {part: skeleton.rest_positions[joint] for part, joint in known.items()}
     hips = at["left_hip"] - at["right_hip"]
     trunk = at["left_shoulder"] + at["right_shoulder"] - at["left_hip"] - at["right_hip"]
     legs = sum(at[f"{side}_ankle"] - at[f"{side}_hip"] for side in SIDES)

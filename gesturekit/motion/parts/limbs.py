@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 
@@ -34,34 +33,6 @@ _CLEARLY = 1.3
 between the two."""
 
 
-class Limbs(NamedTuple):
-    """Limbs found by shape.
-
-    Attributes:
-        joints: part ("left_elbow", ...) to joint.
-        head: None if there is none.
-        pairs: joints of the limbs that are mirror images.
-    """
-
-    joints: dict[str, int]
-    head: int | None
-    pairs: tuple[tuple[int, int], ...]
-
-
-def rest_places(skeleton: Skeleton) -> np.ndarray:
-    """(J, 3) positions of the joints at rest, the root at the origin."""
-    places = skeleton.offsets.copy()
-    for j, above in enumerate(skeleton.parents):
-        places[j] = places[j] + places[above] if above >= 0 else 0.0
-    return places
-
-
-def _tips(skeleton: Skeleton) -> np.ndarray:
-    """(J,) metres from each joint to its farthest end site, 0 without any."""
-    sites = [skeleton.end_sites.get(name, ()) for name in skeleton.names]
-    return np.array([max(map(np.linalg.norm, own), default=0.0) for own in sites])
-
-
 def reaches(skeleton: Skeleton) -> np.ndarray:
     """(J,) metres along bones from each joint to the farthest end below, end sites included."""
     reach, bone = _tips(skeleton), np.linalg.norm(skeleton.offsets, axis=1)
@@ -71,13 +42,10 @@ def reaches(skeleton: Skeleton) -> np.ndarray:
     return reach
 
 
-def find_limbs(skeleton: Skeleton) -> Limbs:
-    """Find arms and legs by shape.
-
-    Raises:
-        MotionError: the shape is not clearly that of a person at rest; the message says why.
-    """
-    return _Shape(skeleton).limbs()
+def _tips(skeleton: Skeleton) -> np.ndarray:
+    """(J,) metres from each joint to its farthest end site, 0 without any."""
+    sites = [skeleton.end_sites.get(name, ()) for name in skeleton.names]
+    return np.array([max(map(np.linalg.norm, own), default=0.0) for own in sites])
 
 
 def _require(is_clear: bool, problem: str) -> None:
@@ -85,34 +53,39 @@ def _require(is_clear: bool, problem: str) -> None:
         raise MotionError(problem)
 
 
-class _Shape:
-    """Rest positions, bone lengths and reach of a rig's joints.
+class Limbs:
+    """Limbs found by shape.
 
-    `whole` is metres from a joint's parent along the longest path through the joint.
+    Attributes:
+        joints: part ("left_elbow", ...) to joint.
+        head: None if there is none.
+        pairs: joints of the limbs that are mirror images.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
-        self.skeleton = skeleton
-        self.bone = np.linalg.norm(skeleton.offsets, axis=1)
-        self.place, self.tip = rest_places(skeleton), _tips(skeleton)
-        self.reach = reaches(skeleton)
-        self.whole = self.bone + self.reach
+        """Find arms and legs.
 
-    def limbs(self) -> Limbs:
-        """Return the limbs; see `find_limbs`."""
+        Raises:
+            MotionError: the shape is not clearly that of a person at rest; the message says why.
+        """
+        self._skeleton, self._place = skeleton, skeleton.rest_positions
+        self._bone, self._tip = np.linalg.norm(skeleton.offsets, axis=1), _tips(skeleton)
+        self._reach = reaches(skeleton)
+        # Metres from a joint's parent along the longest path through the joint.
+        self._whole = self._bone + self._reach
         forks = self._pairs_of_limbs()
         _require(len(forks) == 2, f"{counted(len(forks), 'pair')} of limbs of equal length, not 2")
         (pelvis, legs), (chest, arms) = forks
-        is_trunk = pelvis in self.skeleton.ancestors(chest)
+        is_trunk = pelvis in self._skeleton.ancestors(chest)
         _require(is_trunk, "the two pairs of limbs are not attached to one trunk")
         leg_chains = [self._chain(joint) for joint in legs]
         arm_chains = [self._chain(joint) for joint in arms]
         hips, arm_starts = (self._two_bones(chains) for chains in (leg_chains, arm_chains))
         _require(min(map(len, leg_chains)) >= hips + 3, "its legs have no ankles")
-        joints: dict[str, int] = {}
+        self.joints: dict[str, int] = {}
         ankles = [chain[hips + 2] for chain in leg_chains]
-        up = self.place[chest] - self.place[ankles].mean(axis=0)
-        trunk = self.place[chest] - self.place[pelvis]
+        up = self._place[chest] - self._place[ankles].mean(axis=0)
+        trunk = self._place[chest] - self._place[pelvis]
         stands = up @ trunk >= 0.7 * np.linalg.norm(up) * np.linalg.norm(trunk)
         _require(stands, "at rest its legs do not lie opposite its trunk")
         left = self._left(up, leg_chains, hips)
@@ -120,26 +93,26 @@ class _Shape:
             (leg_chains, hips, ("hip", "knee", "ankle", "toe")),
             (arm_chains, arm_starts, ("shoulder", "elbow", "wrist")),
         ):
-            apart = self.place[chains[0][start]] - self.place[chains[1][start]]
+            apart = self._place[chains[0][start]] - self._place[chains[1][start]]
             is_sideways = abs(apart @ left) >= 0.5 * np.linalg.norm(apart)
             _require(is_sideways, "its limbs do not lie to its left and right at rest")
             if apart @ left < 0:
                 chains.reverse()
             for side, chain in zip(("left", "right"), chains):
-                joints |= {f"{side}_{part}": j for part, j in zip(parts, chain[start:])}
+                self.joints |= {f"{side}_{part}": j for part, j in zip(parts, chain[start:])}
                 if parts[0] == "shoulder" and start:
-                    joints[f"{side}_clavicle"] = chain[start - 1]
-        pairs = [
+                    self.joints[f"{side}_clavicle"] = chain[start - 1]
+        self.pairs = sorted(
             pair for a, b in (leg_chains, arm_chains) for pair in self._corresponding(a[0], b[0])
-        ]
-        return Limbs(joints, self._head(chest, arms), tuple(sorted(pairs)))
+        )
+        self.head = self._head(chest, arms)
 
     def _pairs_of_limbs(self) -> list[tuple[int, tuple[int, int]]]:
         """Return (parent, (limb, limb)) of each pair of long limbs of one shape, from the root."""
-        most = max((self.whole[j] for j in self.skeleton.children(0)), default=0.0)
-        least, forks = _LONG * (self.reach[0] + most), []
-        for fork in range(self.skeleton.n_joints):
-            long = [j for j in self.skeleton.children(fork) if self.whole[j] > least]
+        most = max((self._whole[j] for j in self._skeleton.children(0)), default=0.0)
+        least, forks = _LONG * (self._reach[0] + most), []
+        for fork in range(self._skeleton.n_joints):
+            long = [j for j in self._skeleton.children(fork) if self._whole[j] > least]
             few = len(long) <= _MOST_LIMBS
             alike = [pair for pair in combinations(long, 2) if self._alike(*pair)] if few else []
             several = f"more than two limbs of equal length on {self._name(fork)!r}"
@@ -150,16 +123,16 @@ class _Shape:
     def _alike(self, a: int, b: int) -> bool:
         """Return whether two limbs have equal numbers of bones of equal lengths."""
         for left, right in self._corresponding(a, b):
-            bones = self.bone[left], self.bone[right]
-            if abs(bones[0] - bones[1]) > _ALIKE * max(bones) + _ROUNDING * self.reach[0]:
+            bones = self._bone[left], self._bone[right]
+            if abs(bones[0] - bones[1]) > _ALIKE * max(bones) + _ROUNDING * self._reach[0]:
                 return False
-            if len(self.skeleton.children(left)) != len(self.skeleton.children(right)):
+            if len(self._skeleton.children(left)) != len(self._skeleton.children(right)):
                 return False
         return True
 
     def _sorted(self, joint: int) -> list[int]:
         """Return the children of a joint, ordered by lengths, which are equal on both sides."""
-        return sorted(self.skeleton.children(joint), key=lambda j: (self.whole[j], self.bone[j]))
+        return sorted(self._skeleton.children(joint), key=lambda j: (self._whole[j], self._bone[j]))
 
     def _corresponding(self, a: int, b: int) -> Iterator[tuple[int, int]]:
         """Yield the pairs of corresponding joints of two limbs, a joint before those below it."""
@@ -171,14 +144,14 @@ class _Shape:
     def _chain(self, joint: int) -> list[int]:
         """Return the joints of a limb along its longest path."""
         chain = [joint]
-        while below := self.skeleton.children(chain[-1]):
-            chain.append(max(below, key=self.whole.__getitem__))
+        while below := self._skeleton.children(chain[-1]):
+            chain.append(max(below, key=self._whole.__getitem__))
         return chain
 
     def _two_bones(self, chains: list[list[int]]) -> int:
         """Return the index in the chains of a pair at which the two long bones begin."""
         first = chains[0]
-        bones = np.append(self.bone[first[1:]], self.tip[first[-1]])
+        bones = np.append(self._bone[first[1:]], self._tip[first[-1]])
         limb = f"the limb at {self._name(first[0])!r} has"
         _require(len(bones) > 1, f"{limb} fewer than two bones")
         start = int((bones[:-1] + bones[1:]).argmax())
@@ -196,13 +169,13 @@ class _Shape:
         ahead = np.zeros(3)
         for chain in legs:
             ankle = chain[hips + 2]
-            ends = [self.place[chain[-1]] - self.place[ankle]]
+            ends = [self._place[chain[-1]] - self._place[ankle]]
             for joint in chain[hips + 2 :]:
-                sites = self.skeleton.end_sites.get(self._name(joint), ())
-                ends += [self.place[joint] + site - self.place[ankle] for site in sites]
+                sites = self._skeleton.end_sites.get(self._name(joint), ())
+                ends += [self._place[joint] + site - self._place[ankle] for site in sites]
             foot = max(ends, key=np.linalg.norm)
             ahead += foot - (foot @ up) * up
-        shown = np.linalg.norm(ahead) >= _FORWARD * self.reach[0]
+        shown = np.linalg.norm(ahead) >= _FORWARD * self._reach[0]
         _require(bool(shown), "its feet do not show which way is forward")
         return np.cross(up, ahead / np.linalg.norm(ahead))
 
@@ -212,16 +185,16 @@ class _Shape:
         A last joint that only marks the top of the head is skipped; it is farther from the head
         than the head is from the neck.
         """
-        beyond = [j for j in self.skeleton.children(chest) if j not in arms]
+        beyond = [j for j in self._skeleton.children(chest) if j not in arms]
         if not beyond:
             return None
-        chain = self._chain(max(beyond, key=self.whole.__getitem__))
+        chain = self._chain(max(beyond, key=self._whole.__getitem__))
         for joint in chain:
-            if len(self.skeleton.children(joint)) > 1:
+            if len(self._skeleton.children(joint)) > 1:
                 return joint
-        marks_top = self.tip[chain[-1]] < _POINT * self.reach[0] and len(chain) > 1
-        before = self.bone[chain[-2]] if len(chain) > 1 else 0.0
-        return chain[-2] if marks_top and self.bone[chain[-1]] > before else chain[-1]
+        marks_top = self._tip[chain[-1]] < _POINT * self._reach[0] and len(chain) > 1
+        before = self._bone[chain[-2]] if len(chain) > 1 else 0.0
+        return chain[-2] if marks_top and self._bone[chain[-1]] > before else chain[-1]
 
     def _name(self, joint: int) -> str:
-        return self.skeleton.names[joint]
+        return self._skeleton.names[joint]

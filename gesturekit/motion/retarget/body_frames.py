@@ -91,7 +91,7 @@ def standing_rig(skeleton: Skeleton) -> np.ndarray:
     if _stands(skeleton, pose):
         return pose
     wanted = _t_pose(skeleton, parts)
-    places = forward_kinematics(pose, np.zeros(3), skeleton)
+    places = skeleton.rest_positions
     pelvis, chest = skeleton.index(parts.pelvis), skeleton.index(parts.spine[-1])
     world = pose.copy()
     for j, parent in enumerate(skeleton.parents):
