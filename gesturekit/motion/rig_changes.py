@@ -50,10 +50,8 @@ def keep_joints(
 ) -> tuple[Skeleton, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Return rig and movement without all joints but `names`, which stay where they are.
 
-    A joint whose parent is removed becomes a child of its nearest kept ancestor. If a removed
-    joint between them rotates, the position under the new parent varies and is stored among the
-    joints that move. A joint that loses all its children gets an end site at the removed child, or
-    at the mean of several (the knuckles of a hand).
+    See `Motion.keep`; an added end site is at the removed child, or at the mean of several (the
+    knuckles of a hand).
 
     Args:
         skeleton: J joints.
