@@ -65,7 +65,6 @@ def keep_joints(
     """
     kept = sorted({skeleton.index(name) for name in names})
     parent = _kept_parents(skeleton, kept)
-    root = kept[0]
     below_others = [j for j in kept if parent[j] != skeleton.parents[j]]
     if below_others:  # not if leaves go, such as fingers
         world = global_rotations(rotations, skeleton)
@@ -74,7 +73,7 @@ def keep_joints(
     still = STILL * body_scale(skeleton)
     for j in below_others:
         moving.pop(skeleton.names[j], None)
-        if j == root:
+        if j == kept[0]:
             rotations[:, j], translation = world[:, j], positions[:, j]
             offsets[j] = skeleton.offsets[[j, *skeleton.ancestors(j)]].sum(axis=0)
             continue
