@@ -28,7 +28,7 @@ from gesturekit.formats.gltf.scene import NoAnimationWarning
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.retarget.body_frames import standing_pose
 from gesturekit.motion.rotations import IDENTITY, rotate_vectors
 from gesturekit.motion.skeleton import BodyShape, Skeleton
 

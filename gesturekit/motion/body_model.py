@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -62,14 +62,6 @@ class BodyModel:
     parents: tuple[int, ...]
     feet: tuple[int, ...] | None = None
     source: str = ""
-    _joints: tuple[np.ndarray, np.ndarray] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        joints = self.regressor @ self.template
-        n_joints, n_vertices = self.regressor.shape
-        by_shape = self.regressor @ self.shapes.reshape(n_vertices, -1)
-        by_shape = by_shape.reshape(n_joints, 3, -1)
-        object.__setattr__(self, "_joints", (joints.astype(float), by_shape.astype(float)))
 
     def __repr__(self) -> str:
         return f"BodyModel({self.source!r}, {self.n_vertices} vertices, {self.n_joints} joints)"
@@ -136,11 +128,17 @@ class BodyModel:
         shaped = self.template[at] + self.shapes[at][..., : len(betas)] @ betas
         return shaped.astype(np.float64)
 
+    @cached_property
+    def _shaped_joints(self) -> np.ndarray:
+        """(J, 3, B) what each of the betas adds to the joints at rest."""
+        by_shape = self.regressor @ self.shapes.reshape(self.n_vertices, -1)
+        return by_shape.reshape(self.n_joints, 3, -1).astype(float)
+
     def joints_at_rest(self, betas: ArrayLike = ()) -> np.ndarray:
         """(J, 3) joints of the unmoved body, metres."""
         betas = self._betas(betas)
-        mean, by_shape = self._joints
-        return mean + by_shape[..., : len(betas)] @ betas
+        mean = (self.regressor @ self.template).astype(float)
+        return mean + self._shaped_joints[..., : len(betas)] @ betas
 
     def rig(self, skeleton: Skeleton) -> Skeleton:
         """Return the skeleton with the offsets of its `body_shape`, and foot vertices as end sites.
@@ -227,12 +225,11 @@ def _remembered(path: str, stamp: int) -> BodyModel:
 def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
     template = _numbers(archive, "v_template", None, 3)
     n_vertices = len(template)
-    if not 0 < n_vertices <= _MAX_VERTICES:
-        raise _refused(archive, f"v_template has shape {template.shape}")
+    is_mesh = 0 < n_vertices <= _MAX_VERTICES
+    _require(archive, is_mesh, f"v_template has shape {template.shape}")
     weights = _numbers(archive, "weights", n_vertices, None)
     n_joints = weights.shape[1]
-    if not 0 < n_joints <= _MAX_JOINTS:
-        raise _refused(archive, f"weights has shape {weights.shape}")
+    _require(archive, 0 < n_joints <= _MAX_JOINTS, f"weights has shape {weights.shape}")
     shapes = np.zeros((n_vertices, 3, 0), np.float32)
     if "shapedirs" in archive:
         shapes = _numbers(archive, "shapedirs", n_vertices, 3, None)
@@ -242,15 +239,15 @@ def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
     if "posedirs" in archive:
         corrections = _numbers(archive, "posedirs", n_vertices, 3, 9 * (n_joints - 1))
     faces = archive["f"]
-    if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
-        raise _refused(archive, f"f has shape {faces.shape} of {faces.dtype}")
-    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < n_vertices:
-        raise _refused(archive, f"f names vertices that are not among {n_vertices}")
+    are_faces = faces.dtype.kind in "iu" and has_shape(faces, (None, 3))
+    _require(archive, are_faces, f"f has shape {faces.shape} of {faces.dtype}")
+    inside = not len(faces) or 0 <= int(faces.min()) <= int(faces.max()) < n_vertices
+    _require(archive, inside, f"f names vertices that are not among {n_vertices}")
     feet = FOOT_VERTICES.get(n_vertices) if feet is None else tuple(feet)
-    if feet and (len(feet) != 6 or not all(0 <= vertex < n_vertices for vertex in feet)):
-        raise _refused(archive, f"foot vertices {list(feet)} are not six of {n_vertices}")
-    if (weights < 0).any() or (np.abs(weights.sum(axis=1) - 1) > _OFF_ONE).any():
-        raise _refused(archive, "weights of a vertex are negative, or do not sum to 1")
+    are_feet = not feet or (len(feet) == 6 and 0 <= min(feet) <= max(feet) < n_vertices)
+    _require(archive, are_feet, f"foot vertices {list(feet or ())} are not six of {n_vertices}")
+    are_shares = (weights >= 0).all() and (np.abs(weights.sum(axis=1) - 1) <= _OFF_ONE).all()
+    _require(archive, are_shares, "weights of a vertex are negative, or do not sum to 1")
     return BodyModel(
         template=template,
         faces=faces.astype(np.int64),
@@ -264,30 +261,29 @@ def _read(archive: Archive, feet: Sequence[int] | None) -> BodyModel:
     )
 
 
-def _refused(archive: Archive, why: str) -> FormatError:
-    return FormatError(f"{archive.path}: {why}; expected a model of the SMPL family")
+def _require(archive: Archive, holds: bool | np.bool_, why: str) -> None:
+    if not holds:
+        raise FormatError(f"{archive.path}: {why}; expected a model of the SMPL family")
 
 
 def _numbers(archive: Archive, key: str, *shape: int | None) -> np.ndarray:
     """Return finite float32 of a shape, in which None is any number."""
     array = archive.numbers(key, np.float32)
-    if not has_shape(array, shape):
-        raise _refused(archive, f"{key} has shape {array.shape}, not {shape}")
-    if not np.isfinite(array).all():
-        raise _refused(archive, f"{key} holds numbers that are not finite")
+    _require(archive, has_shape(array, shape), f"{key} has shape {array.shape}, not {shape}")
+    _require(archive, np.isfinite(array).all(), f"{key} holds numbers that are not finite")
     return array
 
 
 def _parents(archive: Archive, n_joints: int) -> tuple[int, ...]:
     table = archive.numbers("kintree_table")
     table = table[0] if table.ndim == 2 and len(table) else table
-    if table.shape != (n_joints,) or not np.isfinite(table).all():
-        why = f"kintree_table of shape {table.shape} is not {n_joints} finite numbers"
-        raise _refused(archive, why)
+    is_row = table.shape == (n_joints,) and np.isfinite(table).all()
+    why = f"kintree_table of shape {table.shape} is not {n_joints} finite numbers"
+    _require(archive, is_row, why)
     # The root's parent is -1, or what 2^32 wraps it to.
-    parents = (-1, *(int(parent) for parent in table[1:]))
-    if not all(0 <= parent < j for j, parent in enumerate(parents) if j):
-        raise _refused(archive, "kintree_table is not a tree with parents before children")
+    parents = (-1, *map(int, table[1:]))
+    is_tree = all(0 <= parent < j for j, parent in enumerate(parents) if j)
+    _require(archive, is_tree, "kintree_table is not a tree with parents before children")
     return parents
 
 
@@ -305,8 +301,7 @@ def _regressor(archive: Archive, n_joints: int, n_vertices: int) -> np.ndarray:
         sparse = kind((data, indices, starts), shape=shape)
         sparse.check_format(full_check=True)
     except (TypeError, ValueError) as error:
-        why = f"J_regressor is not a sparse matrix of shape {shape} ({error})"
-        raise _refused(archive, why) from None
+        _require(archive, False, f"J_regressor is not a sparse matrix of shape {shape} ({error})")
     return sparse.toarray()
 
 

@@ -178,24 +178,7 @@ def carried(
     place = rotate_vectors(turn, place)
     place[:, GROUND] += goal
     world = multiply_quaternions(turn, motion.global_rotations()[:, root])
-    return with_root(motion, root, place, world)
-
-
-def with_root(motion: Motion, root: int, place: np.ndarray, world: np.ndarray) -> Motion:
-    """Return the motion with a joint at `place` (T, 3), metres, turned as `world` (T, 4).
-
-    Joints above it stay, those below it keep their local pose.
-    """
-    rotations = motion.rotations.copy()
-    rotations[:, root] = world
-    if root == 0:
-        return replace(motion, rotations=rotations, translation=place)
-    parent = motion.skeleton.parents[root]
-    back = invert_quaternions(motion.global_rotations()[:, parent])
-    rotations[:, root] = multiply_quaternions(back, world)
-    local = rotate_vectors(back, place - motion.positions()[:, parent])
-    moving = {**motion.joint_translations, motion.skeleton.names[root]: local}
-    return replace(motion, rotations=rotations, joint_translations=moving)
+    return motion.with_joint_at(root, place, world)
 
 
 def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -29,6 +29,10 @@ from gesturekit.motion.skeleton import Skeleton, global_rotations
 
 SOFTNESS = 0.03
 """Last share of the limb's length over which its extension is compressed."""
+STRETCH = 0.995
+"""Legs are not stretched beyond this share of their length, unless they were before."""
+HIP_DROP_SECONDS = 0.2
+"""Seconds before and after a foot out of reach over which the hips move down and up again."""
 _TINY = 1e-9
 
 
@@ -66,11 +70,15 @@ def two_bone_ik(
     new = np.maximum(reachable(wanted, a + b, now), np.abs(a - b))
     bend = first - _dot(first, along) * along
     if pole is None:
-        pole = _mean_pole(bend, multiply_quaternions(above[..., 0, :], rotations[..., 0, :]))
+        turned = multiply_quaternions(above[..., 0, :], rotations[..., 0, :])
+        own = rotate_vectors(invert_quaternions(turned), bend).reshape(-1, 3)
+        pole = rotate_vectors(turned, own.mean(axis=0))
     if hinge:
         forward = _perpendicular(pole, along)
         bend = bend - 2 * np.minimum(_dot(bend, forward), 0) * forward
-    height = _height(a, b, new)
+    # Height of the triangle of both bones over the line from start to end.
+    cosine = (a**2 + new**2 - b**2) / np.maximum(2 * a * new, _TINY)
+    height = a * np.sqrt(np.maximum(1 - np.clip(cosine, -1, 1) ** 2, 0))
     # Existing bend, plus a bend along the pole if there was little.
     old = _length(bend)
     extra = np.maximum(height - old, 0) / (1 + (old / (0.1 * a + _TINY)) ** 2)
@@ -104,29 +112,37 @@ def reachable(
     return np.where(distance <= begin, distance, begin + left * -np.expm1(-beyond / left))
 
 
-def _height(a: np.ndarray, b: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """(..., 1) height of the triangle with sides `a` and `b` over its base."""
-    cosine = (a**2 + base**2 - b**2) / np.maximum(2 * a * base, _TINY)
-    return a * np.sqrt(np.maximum(1 - np.clip(cosine, -1, 1) ** 2, 0))
+def too_high(away: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(T,) metres by which hips are too high for legs of a length (T,) to reach the ankles.
+
+    `away` (T, 3) are the vectors from the ankles to the hips, metres.
+    """
+    return away[:, 1] - np.sqrt(np.maximum(length**2 - away[:, 0] ** 2 - away[:, 2] ** 2, 0))
 
 
-def _mean_pole(bend: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    own = rotate_vectors(invert_quaternions(turned), bend).reshape(-1, 3).mean(axis=0)
-    return rotate_vectors(turned, np.broadcast_to(own, bend.shape))
+def smooth_upper_envelope(values: np.ndarray, frames: int) -> np.ndarray:
+    """(T,) smooth curve that is nowhere below `values` (T,), which are not negative.
+
+    It is a running maximum over `frames` before and after, smoothed by a Hann window.
+    """
+    if not values.any():
+        return values
+    around = np.pad(values, 2 * frames, mode="edge")
+    highest = np.lib.stride_tricks.sliding_window_view(around, 2 * frames + 1).max(axis=1)
+    window = np.hanning(2 * frames + 3)[1:-1]
+    return np.convolve(highest, window / window.sum(), mode="valid")
 
 
 def _turn(
     bone: np.ndarray, normal: np.ndarray, new_bone: np.ndarray, new_normal: np.ndarray
 ) -> np.ndarray:
     """(..., 4) world rotation of a bone and the normal of the limb's plane (..., 3) to new ones."""
-    old, new = _basis(bone, normal), _basis(new_bone, new_normal)
-    return quaternion_from_matrix(new @ np.swapaxes(old, -1, -2))
-
-
-def _basis(bone: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    x = _unit(bone)
-    y = _perpendicular(normal, x)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
+    axes = []
+    for along, across in ((bone, normal), (new_bone, new_normal)):
+        x = _unit(along)
+        y = _perpendicular(across, x)
+        axes.append(np.stack([x, y, np.cross(x, y)], axis=-1))
+    return quaternion_from_matrix(axes[1] @ np.swapaxes(axes[0], -1, -2))
 
 
 def _conjugate(turn: np.ndarray, above: np.ndarray, local: np.ndarray) -> np.ndarray:

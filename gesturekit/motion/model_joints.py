@@ -17,11 +17,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import body_joints, find_legs, known_parts, leg_length
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
-    IDENTITY,
-    invert_quaternions,
     mean_quaternion,
-    multiply_quaternions,
-    rotate_vectors,
 )
 from gesturekit.motion.skeleton import Skeleton, checked
 
@@ -199,32 +195,16 @@ class ModelJoints:
             fps: frames per second.
             skeleton: a performer's skeleton, to use its offsets instead of the rig's.
         """
-        skeleton = skeleton or self.skeleton
-        n_frames = len(position)
         moving = {
-            name: np.tile(value, (n_frames, 1)) for name, value in self.fixed_translations.items()
+            name: np.tile(value, (len(position), 1))
+            for name, value in self.fixed_translations.items()
         }
-        translation = position
-        ancestors = self.skeleton.ancestors(self.root)[::-1]
-        if ancestors:
-            # Joints above the model's root do not move: express the root relative to them.
-            turn, origin = IDENTITY, np.zeros(3)
-            for j in ancestors:
-                step = self.fixed_translations.get(skeleton.names[j], skeleton.offsets[j])
-                origin = origin + rotate_vectors(turn, step if j else np.zeros(3))
-                turn = multiply_quaternions(turn, self.fixed_rotations[j])
-            back = invert_quaternions(turn)
-            rotations = rotations.copy()
-            rotations[:, self.root] = multiply_quaternions(back, rotations[:, self.root])
-            moving[skeleton.names[self.root]] = rotate_vectors(back, position - origin)
-            translation = np.zeros((n_frames, 3))
-        return Motion(
-            skeleton=skeleton,
-            rotations=rotations,
-            translation=translation,
-            fps=fps,
-            joint_translations=moving,
-        )
+        # Joints above the model's root do not move.
+        still = np.zeros_like(position) if self.root else position
+        motion = Motion(skeleton or self.skeleton, rotations, still, fps, moving)
+        if not self.root:
+            return motion
+        return motion.with_joint_at(self.root, position, rotations[:, self.root])
 
     def fixed_pose(self, n_frames: int) -> np.ndarray:
         """(T, J, 4) fixed rotations of all joints, repeated for each frame."""
@@ -257,15 +237,7 @@ def first_moving_joint(motions: Sequence[Motion]) -> int:
     first = next((j for j in body if _moves(motions, j)), 0)
     below = {first, *skeleton.descendants(first)}
     others = [j for j in body if j not in below and _moves(motions, j)]
-    return _lowest_above(skeleton, [first, *others, *hips])
-
-
-def _lowest_above(skeleton: Skeleton, joints: Sequence[int]) -> int:
-    """Return the lowest joint that all `joints` are at or below."""
-    joint = joints[0]
-    while not set(joints) <= {joint, *skeleton.descendants(joint)}:
-        joint = skeleton.parents[joint]
-    return joint
+    return skeleton.common_ancestor(first, *others, *hips)
 
 
 def _moves(motions: Sequence[Motion], joint: int) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -19,7 +19,12 @@ from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.parts.body_size import body_height
 from gesturekit.motion.resampling import Resampler, checked_fps
 from gesturekit.motion.rig_changes import keep_joints, mirror
-from gesturekit.motion.rotations import euler_from_quaternion, rotate_vectors
+from gesturekit.motion.rotations import (
+    euler_from_quaternion,
+    invert_quaternions,
+    multiply_quaternions,
+    rotate_vectors,
+)
 from gesturekit.motion.skeleton import (
     FARTHEST,
     ROTATION_ORDERS,
@@ -66,38 +71,42 @@ class Motion:
     face: FaceTrack | None = None
 
     def __post_init__(self) -> None:
-        rotations = np.asarray(self.rotations, dtype=np.float64)
+        rotations = np.atleast_1d(np.asarray(self.rotations, dtype=np.float64))
+        length = np.linalg.norm(rotations, axis=-1, keepdims=True)
+        for problem in self._problems(rotations, length):
+            raise MotionError(problem)
+        # Unit quaternions are not normalised again, so that a file round trip is bit-exact.
+        if (off := np.abs(length - 1) > 1e-12).any():
+            rotations = np.where(off, rotations / length, rotations)
+        fields: dict[str, Any] = {"rotations": rotations, "fps": checked_fps(self.fps)}
+        shape = (len(rotations), 3)
+        fields["translation"] = checked("translation", self.translation, shape, "frame")
+        fields["joint_translations"] = {
+            name: checked(f"translation of joint {name!r}", values, shape, "frame")
+            for name, values in self.joint_translations.items()
+        }
+        for key, value in fields.items():
+            object.__setattr__(self, key, value)
+
+    def _problems(self, rotations: np.ndarray, length: np.ndarray) -> Iterator[str]:
+        """Yield what is wrong, but for positions; `length` (T, J, 1) is that of the quaternions."""
         if rotations.shape[1:] != (self.skeleton.n_joints, 4):
             need = f"(frames, joints, 4) for {self.skeleton.n_joints} joints"
-            raise MotionError(f"rotations have shape {rotations.shape}; expected {need}")
-        n_frames = len(rotations)
-        if not n_frames:
-            raise MotionError("a motion needs at least one frame")
-        length = np.linalg.norm(rotations, axis=2, keepdims=True)
+            yield f"rotations have shape {rotations.shape}; expected {need}"
+        if not len(rotations):
+            yield "a motion needs at least one frame"
         if not (valid := np.isfinite(length) & (length >= 1e-6)).all():
             bad = np.argwhere(~valid)[0]
             at = f"joint {self.skeleton.names[bad[1]]!r} in frame {bad[0]}"
             value = rotations[bad[0], bad[1]].tolist()
-            raise MotionError(f"the rotation of {at} is {value}, not a quaternion")
-        # Unit quaternions are not normalised again, so that a file round trip is bit-exact.
-        if (off := np.abs(length - 1) > 1e-12).any():
-            rotations = np.where(off, rotations / length, rotations)
-        moving = {}
-        for name, values in self.joint_translations.items():
+            yield f"the rotation of {at} is {value}, not a quaternion"
+        for name in self.joint_translations:
             if self.skeleton.index(name) == 0:
-                raise MotionError(f"{name!r} is the root: its position is the motion's translation")
-            about = f"translation of joint {name!r}"
-            moving[name] = checked(about, values, (n_frames, 3), "frame")
-        fields: dict[str, Any] = {"rotations": rotations, "joint_translations": moving}
-        fields["fps"] = checked_fps(self.fps)
-        fields["translation"] = checked("translation", self.translation, (n_frames, 3), "frame")
-        if (face := self.face) is not None:
-            if not isinstance(face, FaceTrack):
-                raise MotionError(f"face is {type(face).__name__}; expected a FaceTrack")
-            if len(face) != n_frames:
-                raise MotionError(f"the face has {len(face)} frames, the motion {n_frames}")
-        for key, value in fields.items():
-            object.__setattr__(self, key, value)
+                yield f"{name!r} is the root: its position is the motion's translation"
+        if self.face is not None and not isinstance(self.face, FaceTrack):
+            yield f"face is {type(self.face).__name__}; expected a FaceTrack"
+        if self.face is not None and len(self.face) != len(rotations):
+            yield f"the face has {len(self.face)} frames, the motion {len(rotations)}"
 
     def __repr__(self) -> str:
         return (
@@ -213,9 +222,8 @@ class Motion:
         Raises:
             MotionError: an invalid rate, fewer than one frame, or more than 8 GB of frames.
         """
-        resampler = Resampler(
-            self.n_frames, self.skeleton.n_joints, self.fps, fps, n_frames, antialias
-        )
+        rig, here = self.skeleton, self.fps
+        resampler = Resampler(self.n_frames, rig.n_joints, here, fps, n_frames, antialias)
         return self._changed(resampler.values, resampler.rotations(self.rotations), resampler.fps)
 
     def _changed(
@@ -269,6 +277,27 @@ class Motion:
         names = ("skeleton", "rotations", "translation", "joint_translations")
         changed = change(*(getattr(self, name) for name in names), *arguments)
         return replace(self, info=dict(self.info), **dict(zip(names, changed)))
+
+    def with_joint_at(
+        self, joint: int, place: np.ndarray, world: np.ndarray | None = None
+    ) -> Motion:
+        """Return the motion with one joint at `place` (T, 3), metres.
+
+        Joints above it stay where they are; those below keep their local pose. `world` (T, 4) is
+        the joint's world rotation; by default its local one is kept.
+        """
+        changes: dict[str, Any] = {"translation": place}
+        if joint:
+            parent = self.skeleton.parents[joint]
+            back = invert_quaternions(self.global_rotations()[:, parent])
+            local = rotate_vectors(back, place - self.positions()[:, parent])
+            moving = {**self.joint_translations, self.skeleton.names[joint]: local}
+            changes = {"joint_translations": moving}
+            world = None if world is None else multiply_quaternions(back, world)
+        if world is not None:
+            changes["rotations"] = self.rotations.copy()
+            changes["rotations"][:, joint] = world
+        return replace(self, **changes)
 
     def scaled(self, factor: float) -> Motion:
         """Multiply all lengths by `factor`: skeleton, translation and joint translations.

@@ -39,6 +39,9 @@ def checked_fps(fps: float) -> float:
 class Resampler:
     """Interpolation of the arrays of one motion at another frame rate; see `Motion.resample`.
 
+    The low-pass is a Lanczos filter of three lobes, evaluated at any times; the end frames are
+    repeated.
+
     Args:
         n_source: frames T' of the motion.
         n_joints: J; limits the number of frames that fit in memory.
@@ -69,71 +72,48 @@ class Resampler:
         if n_frames * n_joints > _MOST_ROTATIONS:
             long = f"{n_source / source_fps:.6g} s at {fps:g} fps are {n_frames} frames"
             raise MotionError(f"{long}, too many; is the motion at {source_fps:g} fps?")
-        last = n_source - 1
-        if fps == source_fps:
-            self._low = self._high = np.minimum(np.arange(n_frames), last)
-            self._weight = np.zeros(n_frames)
-        else:
-            place = np.minimum(np.arange(n_frames) * (source_fps / fps), last)
-            self._low = np.floor(place).astype(np.int64)
-            self._high = np.minimum(self._low + 1, last)
-            self._weight = place - self._low
-        self._lowpass = None
-        if antialias and fps < source_fps:
-            self._lowpass = _LowPass(self._low + self._weight, source_fps / fps, n_source)
+        last, ratio = n_source - 1, source_fps / fps
+        place = np.minimum(np.arange(n_frames) * ratio, last)
+        self._low = np.floor(place).astype(np.int64)
+        self._high = np.minimum(self._low + (ratio != 1), last)
+        self._weight = place - self._low
+        # (tap, its weight) in each frame: all taps at once would take six times the memory.
+        self._taps: list[tuple[np.ndarray, np.ndarray]] = []
+        if antialias and ratio > 1:
+            reach = min(math.ceil(3 * ratio), n_source)
+            taps = self._low[:, None] + np.arange(-reach, reach + 2)
+            away = (taps - place[:, None]) / ratio
+            weights = np.sinc(away) * np.sinc(away / 3) * (np.abs(away) < 3)
+            weights /= weights.sum(axis=1, keepdims=True)
+            self._taps = list(zip(np.clip(taps, 0, last).T, weights.T))
 
     def values(self, source: np.ndarray) -> np.ndarray:
         """(T, D) values, linearly interpolated from (T', D)."""
-        if self._lowpass is not None:
-            return self._lowpass.values(source)
+        if self._taps:
+            return sum(weight[:, None] * source[tap] for tap, weight in self._taps)
         low, high = source[self._low], source[self._high]
         return low + self._weight[:, None] * (high - low)
 
     def rotations(self, source: np.ndarray) -> np.ndarray:
-        """(T, J, 4) unit quaternions, interpolated by slerp from (T', J, 4)."""
+        """(T, J, 4) unit quaternions, interpolated by slerp from (T', J, 4).
+
+        To filter, rotations are averaged as rotation vectors about these (Lee and Shin 2002,
+        "General construction of time-domain filters for orientation data"), which does not depend
+        on the signs of the quaternions.
+        """
         between = np.empty((len(self._low), *source.shape[1:]))
         for at in range(0, len(between), _BLOCK):
             low, high, weight = (
                 values[at : at + _BLOCK] for values in (self._low, self._high, self._weight)
             )
             between[at : at + _BLOCK] = slerp(source[low], source[high], weight[:, None])
-        return between if self._lowpass is None else self._lowpass.rotations(source, between)
-
-
-class _LowPass:
-    """Lanczos filter of three lobes, evaluated at any times; the end frames are repeated.
-
-    Rotations are averaged as rotation vectors about the unfiltered result (Lee and Shin 2002,
-    "General construction of time-domain filters for orientation data"), which does not depend on
-    the signs of the quaternions.
-
-    Args:
-        times: (T,) times of the result, in source frames.
-        ratio: source frames per frame of the result, above 1.
-        n_frames: number of source frames T'.
-    """
-
-    def __init__(self, times: np.ndarray, ratio: float, n_frames: int) -> None:
-        reach = min(math.ceil(3 * ratio), n_frames)
-        taps = np.floor(times).astype(np.int64)[:, None] + np.arange(-reach, reach + 2)
-        away = (taps - times[:, None]) / ratio
-        weights = np.sinc(away) * np.sinc(away / 3) * (np.abs(away) < 3)
-        self._weights = weights / weights.sum(axis=1, keepdims=True)
-        self._taps = np.clip(taps, 0, n_frames - 1)
-
-    def values(self, values: np.ndarray) -> np.ndarray:
-        """(T, D) filtered values from (T', D)."""
-        # Tap by tap, because all taps at once would take six times the memory of the source.
-        return sum(w[:, None] * values[tap] for tap, w in zip(self._taps.T, self._weights.T))
-
-    def rotations(self, source: np.ndarray, unfiltered: np.ndarray) -> np.ndarray:
-        """(T, J, 4) filtered rotations from `source` (T', J, 4) and `unfiltered` (T, J, 4)."""
-        back = invert_quaternions(unfiltered)
-        vector = np.zeros((*unfiltered.shape[:-1], 3))
-        for tap, weight in zip(self._taps.T, self._weights.T):
+        if not self._taps:
+            return between
+        back, vector = invert_quaternions(between), np.zeros((*between.shape[:-1], 3))
+        for tap, weight in self._taps:
             away = rotation_vector_from_quaternion(multiply_quaternions(back, source[tap]))
             vector += weight[:, None, None] * away
-        return multiply_quaternions(unfiltered, quaternion_from_rotation_vector(vector))
+        return multiply_quaternions(between, quaternion_from_rotation_vector(vector))
 
 
 def smoothstep(share: Share) -> Share:

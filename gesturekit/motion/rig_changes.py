@@ -50,10 +50,8 @@ def keep_joints(
 ) -> tuple[Skeleton, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Return rig and movement without all joints but `names`, which stay where they are.
 
-    A joint whose parent is removed becomes a child of its nearest kept ancestor. If a removed
-    joint between them rotates, the position under the new parent varies and is stored among the
-    joints that move. A joint that loses all its children gets an end site at the removed child, or
-    at the mean of several (the knuckles of a hand).
+    See `Motion.keep`; an added end site is at the removed child, or at the mean of several (the
+    knuckles of a hand).
 
     Args:
         skeleton: J joints.
@@ -67,7 +65,6 @@ def keep_joints(
     """
     kept = sorted({skeleton.index(name) for name in names})
     parent = _kept_parents(skeleton, kept)
-    root = kept[0]
     below_others = [j for j in kept if parent[j] != skeleton.parents[j]]
     if below_others:  # not if leaves go, such as fingers
         world = global_rotations(rotations, skeleton)
@@ -76,7 +73,7 @@ def keep_joints(
     still = STILL * body_scale(skeleton)
     for j in below_others:
         moving.pop(skeleton.names[j], None)
-        if j == root:
+        if j == kept[0]:
             rotations[:, j], translation = world[:, j], positions[:, j]
             offsets[j] = skeleton.offsets[[j, *skeleton.ancestors(j)]].sum(axis=0)
             continue
@@ -88,11 +85,16 @@ def keep_joints(
         if (high - low > still).any():
             moving[skeleton.names[j]] = local
     number = {j: k for k, j in enumerate(kept)}
+    ends = {j: skeleton.end_sites.get(skeleton.names[j], ()) for j in kept}
+    for j in kept:
+        children = list(skeleton.children(j))
+        if children and not ends[j] and number.keys().isdisjoint(skeleton.descendants(j)):
+            ends[j] = (skeleton.offsets[children].mean(axis=0),)
     rig = Skeleton(
         names=tuple(skeleton.names[j] for j in kept),
         parents=tuple(number.get(parent[j], -1) for j in kept),
         offsets=offsets[kept],
-        end_sites=_end_sites(skeleton, kept),
+        end_sites={skeleton.names[j]: sites for j, sites in ends.items() if sites},
         rotation_orders=tuple(skeleton.rotation_orders[j] for j in kept),
         parts={p: name for p, name in skeleton.parts.items() if skeleton.index(name) in number},
         body_shape=skeleton.body_shape,
@@ -109,27 +111,10 @@ def _kept_parents(skeleton: Skeleton, kept: Sequence[int]) -> dict[int, int]:
     above = {j: next((a for a in skeleton.ancestors(j) if a in staying), -1) for j in kept}
     roots = [j for j in kept if above[j] < 0]
     if len(roots) > 1:
-        first, second = roots[:2]
-        above_first = set(skeleton.ancestors(first))
-        common = next(j for j in skeleton.ancestors(second) if j in above_first)
-        one, two, three = (skeleton.names[j] for j in (first, second, common))
+        joints = (*roots[:2], skeleton.common_ancestor(*roots[:2]))
+        one, two, three = (skeleton.names[j] for j in joints)
         raise MotionError(f"no kept joint lies above both {one!r} and {two!r}; keep {three!r} too")
     return above
-
-
-def _end_sites(skeleton: Skeleton, kept: Sequence[int]) -> dict[str, tuple[np.ndarray, ...]]:
-    """Return joint name to offsets (3,) of its end sites, added ones included, metres."""
-    staying = set(kept)
-    ends = {}
-    for j in kept:
-        sites = skeleton.end_sites.get(skeleton.names[j], ())
-        children = skeleton.children(j)
-        lost_all = children and not staying & set(skeleton.descendants(j))
-        if lost_all and not sites:
-            sites = (skeleton.offsets[list(children)].mean(axis=0),)
-        if sites:
-            ends[skeleton.names[j]] = tuple(sites)
-    return ends
 
 
 # S = -H, H a half turn about x, y or z, or the identity: S as diagonals, H as quaternions.
@@ -221,7 +206,11 @@ def _reflections(
     joint_translations: Mapping[str, np.ndarray],
     other: np.ndarray,
 ) -> np.ndarray:
-    """(J,) index of each joint's S in `_REFLECTIONS`; counterparts have the same."""
+    """(J,) index of each joint's S in `_REFLECTIONS`; counterparts have the same.
+
+    Without parallel frames it has the lowest total cost over the tree, by dynamic programming from
+    leaves to root.
+    """
     n = skeleton.n_joints
     # mismatch[j, s]: metres between the reflection of joint j's bone by S and its counterpart.
     bones = skeleton.offsets[:, None] * _REFLECTIONS - skeleton.offsets[other][:, None]
@@ -231,23 +220,6 @@ def _reflections(
     total = mismatch[fixed].sum(axis=0)
     if total.min() <= _PARALLEL * max(lengths, 1e-9):
         return np.full(n, total.argmin())
-    return _by_joint(skeleton, rotations, other, mismatch, fixed)
-
-
-def _by_joint(
-    skeleton: Skeleton,
-    rotations: np.ndarray,
-    other: np.ndarray,
-    mismatch: np.ndarray,
-    fixed: list[int],
-) -> np.ndarray:
-    """(J,) S of lowest total cost over the tree, by dynamic programming from leaves to root.
-
-    `rotations` (T, J, 4) are local, `other` (J,) is each joint's counterpart, `mismatch` (J, 4) the
-    metres by which each S fails to reflect the bone to a joint; offsets of `fixed` joints are
-    constant.
-    """
-    n = skeleton.n_joints
     rotations = rotations[:: max(1, len(rotations) // _FRAMES)]
     # Rotations above the first fork place the body in the world. They do not resemble their
     # mirror image, so they carry no evidence.

@@ -13,7 +13,7 @@ from gesturekit.errors import MotionError
 from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_legs, heading_joints
+from gesturekit.motion.parts import ankle_joints, heading_joints
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.motion.skeleton import GROUND, checked
@@ -68,7 +68,7 @@ def headings(world: np.ndarray, side: np.ndarray) -> np.ndarray:
         world: (T, 4) world rotations of the root.
         side: (3,) from `side_axis`.
     """
-    return headings_of_sides(rotate_vectors(world, np.broadcast_to(side, (len(world), 3))))
+    return headings_of_sides(rotate_vectors(world, side))
 
 
 def headings_of_sides(across: np.ndarray) -> np.ndarray:
@@ -197,11 +197,6 @@ class RootPath:
         """Number of frames T."""
         return len(self.positions)
 
-    @property
-    def duration(self) -> float:
-        """Seconds, T / fps."""
-        return self.n_frames / self.fps
-
     def frames_within(self, fps: float) -> int:
         """Return the number of frames at `fps` from the path's first to its last, both included.
 
@@ -259,45 +254,24 @@ class RootPath:
         )
         return RootPath(np.stack([x, z], axis=1), angle, fps)
 
-    def slice(self, start_frame: int, stop_frame: int) -> RootPath:
-        """Return frames `start_frame` up to, not including, `stop_frame`.
-
-        Raises:
-            MotionError: the range is empty or exceeds the path.
-        """
-        if not 0 <= start_frame < stop_frame <= self.n_frames:
-            held = f"{start_frame} to {stop_frame} of a path of {self.n_frames} frames"
-            raise MotionError(f"frames {held}")
-        part = np.s_[start_frame:stop_frame]
-        return replace(self, positions=self.positions[part], headings=self.headings[part])
-
-    def smoothed(self, frames: int | None = None) -> RootPath:
-        """Return the centred moving average over `frames`, by default `SMOOTHED_SECONDS`.
+    def smoothed(self) -> RootPath:
+        """Return the centred moving average over `SMOOTHED_SECONDS`.
 
         Both ends are padded by point reflection: they keep their positions, and a straight walk
         does not change.
-
-        Raises:
-            MotionError: fewer than one frame.
         """
-        if frames is None:
-            frames = max(1, round(SMOOTHED_SECONDS * self.fps))
-        if frames < 1:
-            raise MotionError(f"frames is {frames}; a path is smoothed over at least 1")
+        frames = max(1, round(SMOOTHED_SECONDS * self.fps))
         # An even window has no central frame, so its two ends get half the weight.
         half = frames // 2
         weights = np.ones(2 * half + 1)
         if frames % 2 == 0:
             weights[[0, -1]] = 0.5
         weights /= weights.sum()
-
-        def smooth(values: np.ndarray) -> np.ndarray:
-            if self.n_frames == 1:
-                return values
-            wide = np.pad(values, half, mode="reflect", reflect_type="odd")
-            return np.convolve(wide, weights, mode="valid")
-
-        x, z, angle = (smooth(values) for values in (*self.positions.T, self.headings))
+        if self.n_frames == 1:
+            return self
+        columns = np.column_stack([self.positions, self.headings])
+        wide = np.pad(columns, [(half, half), (0, 0)], mode="reflect", reflect_type="odd")
+        x, z, angle = (np.convolve(values, weights, mode="valid") for values in wide.T)
         return replace(self, positions=np.stack([x, z], axis=1), headings=angle)
 
     def scaled(self, factor: float) -> RootPath:
@@ -329,22 +303,6 @@ def follow_path(motion: Motion, path: RootPath, root: int | None = None) -> Moti
     positions, world = motion.positions(), motion.global_rotations()
     shift = np.zeros((motion.n_frames, 3))
     shift[:, GROUND] = path.positions - positions[:, root][:, GROUND]
-    moved = _shifted(motion, root, shift, world)
-    legs = find_legs(motion.skeleton)
-    if legs is None:
-        return moved
-    ankles = [motion.skeleton.index(leg.ankle) for leg in legs.values()]
-    return reach_feet(moved, positions[:, ankles], world[:, ankles])
-
-
-def _shifted(motion: Motion, root: int, shift: np.ndarray, world: np.ndarray) -> Motion:
-    """Return the motion with joint `root` and all joints below it moved by `shift` (T, 3), metres.
-
-    `world` (T, J, 4) are the joints' world rotations.
-    """
-    if root == 0:
-        return replace(motion, translation=motion.translation + shift)
-    name, parent = motion.skeleton.names[root], motion.skeleton.parents[root]
-    shift = rotate_vectors(invert_quaternions(world[:, parent]), shift)
-    position = motion.local_positions(name) + shift
-    return replace(motion, joint_translations={**motion.joint_translations, name: position})
+    moved = motion.with_joint_at(root, positions[:, root] + shift)
+    ankles = ankle_joints(motion.skeleton)
+    return reach_feet(moved, positions[:, ankles], world[:, ankles]) if ankles else moved

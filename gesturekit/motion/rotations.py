@@ -141,25 +141,15 @@ def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     # Row i of this table is the quaternion times four times its i-th component; the row of the
     # largest component is the accurate one (Shepperd 1978).
-    xy, xz, yz = (
-        m[..., 0, 1] + m[..., 1, 0],
-        m[..., 0, 2] + m[..., 2, 0],
-        m[..., 1, 2] + m[..., 2, 1],
-    )
-    wx, wy, wz = (
-        m[..., 2, 1] - m[..., 1, 2],
-        m[..., 0, 2] - m[..., 2, 0],
-        m[..., 1, 0] - m[..., 0, 1],
-    )
-    table = np.stack(
-        [
-            np.stack([1 + xx - yy - zz, xy, xz, wx], axis=-1),
-            np.stack([xy, 1 - xx + yy - zz, yz, wy], axis=-1),
-            np.stack([xz, yz, 1 - xx - yy + zz, wz], axis=-1),
-            np.stack([wx, wy, wz, 1 + xx + yy + zz], axis=-1),
-        ],
-        axis=-2,
-    )
+    xy, xz, yz = (m[..., i, j] + m[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    wx, wy, wz = (m[..., i, j] - m[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    rows = [
+        [1 + xx - yy - zz, xy, xz, wx],
+        [xy, 1 - xx + yy - zz, yz, wy],
+        [xz, yz, 1 - xx - yy + zz, wz],
+        [wx, wy, wz, 1 + xx + yy + zz],
+    ]
+    table = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     best = np.argmax(np.stack([xx, yy, zz, xx + yy + zz], axis=-1), axis=-1)
     q = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
     return normalize_quaternions(np.where(q[..., 3:] < 0, -q, q))

@@ -6,7 +6,7 @@ The kinematics are in numpy; `torch_kinematics` has the differentiable version.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -126,29 +126,52 @@ class Skeleton:
         names = tuple(str(name) for name in self.names)
         parents = tuple(int(parent) for parent in self.parents)
         orders = tuple(self.rotation_orders) or ("ZXY",) * len(names)
-        _check_tree(names, parents)
+        fields = {"names": names, "parents": parents, "rotation_orders": orders}
+        for key, value in (fields | {"parts": dict(self.parts)}).items():
+            object.__setattr__(self, key, value)
+        for problem in self._problems():
+            raise MotionError(problem)
         offsets = checked("offsets", np.array(self.offsets, float), (len(names), 3), "joint")
+        object.__setattr__(self, "offsets", offsets)
+        ends = {
+            name: tuple(
+                checked(f"an end site of joint {name!r}", np.array(site), (3,)) for site in sites
+            )
+            for name, sites in self.end_sites.items()
+        }
+        object.__setattr__(self, "end_sites", ends)
+
+    def _problems(self) -> Iterator[str]:
+        """Yield why names, parents and orders are not those of one tree, parents first."""
+        names, orders = self.names, self.rotation_orders
+        if not names:
+            yield "a skeleton needs at least one joint"
+        if len(names) != len(self.parents):
+            yield f"{len(names)} joint names but {len(self.parents)} parents"
+        seen: set[str] = set()
+        for name in names:
+            if not name.strip() or not name.isprintable() or len(name) > LONGEST_NAME:
+                need = f"up to {LONGEST_NAME} printable characters"
+                yield f"{name[:40]!r} is not a joint name, {need}"
+            if name in seen:
+                yield f"two joints are called {name!r}; names must be unique"
+            seen.add(name)
+        for j, parent in enumerate(self.parents):
+            if not (0 <= parent < j if j else parent == -1):
+                rule = f"the only root (parent -1) is {names[0]!r}, and parents come first"
+                yield f"joint {names[j]!r} (index {j}) has parent {parent}; {rule}"
         if len(orders) != len(names):
-            raise MotionError(f"{len(orders)} rotation orders for {len(names)} joints")
+            yield f"{len(orders)} rotation orders for {len(names)} joints"
         for name, order in zip(names, orders):
             if order not in ROTATION_ORDERS:
                 known = ", ".join(ROTATION_ORDERS)
-                raise MotionError(f"rotation order {order!r} of joint {name!r}; expected {known}")
-        ends, known = {}, set(names)
-        for name, sites in self.end_sites.items():
-            if name not in known:
-                raise MotionError(f"end site on {name!r}, which is not a joint of the skeleton")
-            about = f"an end site of joint {name!r}"
-            ends[name] = tuple(checked(about, np.array(site), (3,)) for site in sites)
-        fields = {"names": names, "parents": parents, "offsets": offsets, "end_sites": ends}
-        fields |= {"rotation_orders": orders, "parts": dict(self.parts)}
-        for key, value in fields.items():
-            object.__setattr__(self, key, value)
+                yield f"rotation order {order!r} of joint {name!r}; expected {known}"
+        for name in self.end_sites:
+            if name not in seen:
+                yield f"end site on {name!r}, which is not a joint of the skeleton"
         for part, name in self.parts.items():
-            try:
-                self.index(name)
-            except MotionError as error:
-                raise MotionError(f"part {part!r}: {error}") from None
+            if name not in seen:
+                yield f"part {part!r}: {self._unknown(name)}"
 
     @property
     def n_joints(self) -> int:
@@ -165,36 +188,49 @@ class Skeleton:
         Raises:
             MotionError: there is none; the message suggests similar names.
         """
-        try:
-            return self._index[name]
-        except KeyError:
-            hint = did_you_mean(name, self.names, most=3, cutoff=0.4)
-            hint = hint or f"it has {listed(self.names, 12)}"
-            raise MotionError(f"the skeleton has no joint {name!r}; {hint}") from None
+        if name not in self._index:
+            raise MotionError(self._unknown(name))
+        return self._index[name]
+
+    def _unknown(self, name: str) -> str:
+        hint = did_you_mean(name, self.names, most=3, cutoff=0.4)
+        return f"the skeleton has no joint {name!r}; {hint or f'it has {listed(self.names, 12)}'}"
 
     @cached_property
     def _children(self) -> tuple[tuple[int, ...], ...]:
         children: list[list[int]] = [[] for _ in self.names]
-        for j, parent in enumerate(self.parents):
-            if parent >= 0:
-                children[parent].append(j)
-        return tuple(tuple(below) for below in children)
+        for j, parent in enumerate(self.parents[1:], start=1):
+            children[parent].append(j)
+        return tuple(map(tuple, children))
 
     def children(self, joint: int) -> tuple[int, ...]:
         """Return the indices of the children of `joint`."""
         return self._children[joint]
 
-    def is_leaf(self, joint: int) -> bool:
-        """Return whether `joint` has no children."""
-        return not self._children[joint]
-
     @cached_property
     def depth(self) -> tuple[int, ...]:
         """Depth of each joint in the tree; 0 for the root."""
-        depth: list[int] = []
-        for parent in self.parents:
-            depth.append(depth[parent] + 1 if parent >= 0 else 0)
+        depth = [0]
+        for parent in self.parents[1:]:
+            depth.append(depth[parent] + 1)
         return tuple(depth)
+
+    @cached_property
+    def levels(self) -> list[tuple[list[int], list[int]]]:
+        """(joints, their parents) for each depth 1, 2, ..., to vectorise over a level."""
+        levels: list[list[int]] = [[] for _ in range(max(self.depth) + 1)]
+        for j, depth in enumerate(self.depth):
+            levels[depth].append(j)
+        return [(joints, [self.parents[j] for j in joints]) for joints in levels[1:]]
+
+    @cached_property
+    def rest_positions(self) -> np.ndarray:
+        """(J, 3) positions of the joints in the rest pose, the root at the origin, metres."""
+        places = self.offsets.copy()
+        places[0] = 0.0
+        for joints, parents in self.levels:
+            places[joints] += places[parents]
+        return places
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the joints above `joint`, the nearest first."""
@@ -210,6 +246,10 @@ class Skeleton:
             if self.parents[j] in below:
                 below.add(j)
         return tuple(sorted(below - {joint}))
+
+    def common_ancestor(self, *joints: int) -> int:
+        """Return the lowest joint that all `joints` are, or are below."""
+        return max(set.intersection(*({joint, *self.ancestors(joint)} for joint in joints)))
 
     def scaled(self, factor: float) -> Skeleton:
         """Return the rig with every offset and end site multiplied by `factor`.
@@ -265,10 +305,9 @@ class Skeleton:
                 parts=dict(values.get("parts", {})),
                 body_shape=BodyShape(**values.get("body_shape", {})),
             )
-        except KeyError as error:
-            raise MotionError(f"the skeleton lacks the field {error}") from None
-        except (TypeError, ValueError, AttributeError) as error:
-            raise MotionError(f"the skeleton cannot be read: {error}") from None
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            why = f"it lacks the field {error}" if isinstance(error, KeyError) else error
+            raise MotionError(f"the skeleton cannot be read: {why}") from None
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
@@ -282,26 +321,6 @@ def unique_names(names: Sequence[str]) -> list[str]:
                 times[name] += 1
         unique.append(new)
     return unique
-
-
-def _check_tree(names: Sequence[str], parents: Sequence[int]) -> None:
-    """Raise MotionError unless names and parents are those of one tree, parents first."""
-    if not names:
-        raise MotionError("a skeleton needs at least one joint")
-    if len(names) != len(parents):
-        raise MotionError(f"{len(names)} joint names but {len(parents)} parents")
-    seen: set[str] = set()
-    for name in names:
-        if not name.strip() or not name.isprintable() or len(name) > LONGEST_NAME:
-            need = f"up to {LONGEST_NAME} printable characters"
-            raise MotionError(f"{name[:40]!r} is not a joint name, {need}")
-        if name in seen:
-            raise MotionError(f"two joints are called {name!r}; names must be unique")
-        seen.add(name)
-    for j, parent in enumerate(parents):
-        if not (0 <= parent < j if j else parent == -1):
-            rule = f"the only root (parent -1) is {names[0]!r}, and parents come first"
-            raise MotionError(f"joint {names[j]!r} (index {j}) has parent {parent}; {rule}")
 
 
 GROUND = [0, 2]
@@ -339,7 +358,7 @@ def forward_kinematics(
             local[:, skeleton.index(name)] = np.moveaxis(np.asarray(values), -1, 0)
     positions = np.empty((3, *world.shape[1:]))
     positions[:, 0] = np.moveaxis(np.broadcast_to(translation, (*frames, 3)), -1, 0)
-    for joints, parents in _levels(skeleton):
+    for joints, parents in skeleton.levels:
         steps = rotated_components(world[:, parents], local[:, joints])
         for axis, step in zip(positions, steps, strict=True):
             axis[joints] = axis[parents] + step
@@ -350,7 +369,7 @@ def _global_components(rotations: np.ndarray, skeleton: Skeleton) -> np.ndarray:
     """Return the components (4, J, ...) of `global_rotations`."""
     local = _components_first(np.asarray(rotations, dtype=np.float64))
     world = local.copy()
-    for joints, parents in _levels(skeleton):
+    for joints, parents in skeleton.levels:
         products = product_components(world[:, parents], local[:, joints])
         for component, values in zip(world, products, strict=True):
             component[joints] = values
@@ -365,13 +384,3 @@ def _components_first(values: np.ndarray) -> np.ndarray:
 def _components_last(values: np.ndarray) -> np.ndarray:
     """Return values (D, J, ...) as (..., J, D)."""
     return np.ascontiguousarray(np.moveaxis(values, (0, 1), (-1, -2)))
-
-
-def _levels(skeleton: Skeleton) -> list[tuple[list[int], list[int]]]:
-    """Return (joints, their parents) for each depth 1, 2, ..., to vectorise over a level."""
-    levels: list[tuple[list[int], list[int]]] = [([], []) for _ in range(max(skeleton.depth))]
-    for j, parent in enumerate(skeleton.parents[1:], start=1):
-        joints, parents = levels[skeleton.depth[j] - 1]
-        joints.append(j)
-        parents.append(parent)
-    return levels

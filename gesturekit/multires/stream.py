@@ -35,7 +35,7 @@ from gesturekit.multires.stream_window import (
     SpeechStream,
     WindowLevels,
 )
-from gesturekit.postprocess.feet import feet_of_legs
+from gesturekit.postprocess.foot_lock import find_feet
 from gesturekit.state.prediction import AheadPrediction, FeatureWindow
 from gesturekit.state.process import mood_seed
 from gesturekit.training.seeds import checked_draw, rng_for
@@ -68,13 +68,7 @@ class FootHold(Resumable):
         self._fps, self._feet = fps, None
         if find_legs(skeleton) is not None:
             # Only the legs and the joints above them are computed.
-            self._joints, self._feet = feet_of_legs(skeleton)
-            index = {joint: k for k, joint in enumerate(self._joints)}
-            self._legs = Skeleton(
-                tuple(skeleton.names[joint] for joint in self._joints),
-                tuple(index.get(skeleton.parents[joint], -1) for joint in self._joints),
-                skeleton.offsets[self._joints],
-            )
+            self._joints, self._legs, self._feet = find_feet(skeleton)
             self._reach = _FURTHEST * leg_length(skeleton)
         self._shift = np.zeros(3)
         self._moved = np.zeros((2, 3))
@@ -100,7 +94,7 @@ class FootHold(Resumable):
         moving = {n: v for n, v in motion.joint_translations.items() if n in legs.names}
         positions = forward_kinematics(rotations, motion.translation, legs, moving)
         world = global_rotations(rotations, legs)
-        ankles = positions[0, [foot.ankle for foot in self._feet]]
+        ankles = positions[0, [foot.limb[2] for foot in self._feet]]
         columns = [[k for anchor in foot.anchors for k in anchor.columns] for foot in self._feet]
         self._follow(ankles, np.array([(contacts[points] > 0.5).any() for points in columns]))
         limbs = np.array([foot.limb for foot in self._feet])
@@ -113,9 +107,9 @@ class FootHold(Resumable):
             pole=joints[:, 1] - joints[:, 0],
         )
         reached = global_rotations(rotations, legs)
-        for foot in self._feet:
-            back = invert_quaternions(reached[:, legs.parents[foot.ankle]])
-            rotations[:, foot.ankle] = multiply_quaternions(back, world[:, foot.ankle])
+        for *_, ankle in limbs:
+            back = invert_quaternions(reached[:, legs.parents[ankle]])
+            rotations[:, ankle] = multiply_quaternions(back, world[:, ankle])
         whole = motion.rotations.copy()
         whole[:, self._joints] = rotations
         return replace(displaced(motion, self._shift[[0, 2]]), rotations=whole)

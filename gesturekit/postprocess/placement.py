@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from gesturekit.motion.concatenation import carried, eased, with_root
+from gesturekit.motion.concatenation import carried, eased
 from gesturekit.motion.contacts import CONTACT_SPEED, floor_height, foot_positions
 from gesturekit.motion.ik import reach_feet
 from gesturekit.motion.model_joints import first_moving_joint
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import find_legs, leg_length
+from gesturekit.motion.parts import ankle_joints, leg_length
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.root_path import heading, headings, side_axis
@@ -124,11 +124,11 @@ class Placement:
 
 def _in_place(motion: Motion, root: int) -> Motion:
     """Return the motion without the slow part of its stance's path and turning."""
-    turns = _foot_turns(motion)
-    if turns is None:
-        angle = headings(motion.global_rotations()[:, root], side_axis([motion], root))
+    world = motion.global_rotations()
+    if ankles := ankle_joints(motion.skeleton):
+        angle = np.unwrap(_turn_between(world[:1, ankles], world[:, ankles]))
     else:
-        angle = np.unwrap(_turn_between(turns[:1], turns))
+        angle = headings(world[:, root], side_axis([motion], root))
     path = np.column_stack([_stance(motion, root), angle])
     slow = gaussian_filter1d(path, _SLOW_SECONDS * motion.fps, axis=0, mode="nearest")
     return carried(motion, root, slow[0, 2] - slow[:, 2], slow[:, :2], slow[0, :2])
@@ -139,14 +139,6 @@ def _stance(motion: Motion, root: int) -> np.ndarray:
     feet = foot_positions(motion)
     points = feet if feet.shape[1] else motion.positions()[:, [root]]
     return points[..., GROUND].mean(axis=1)
-
-
-def _foot_turns(motion: Motion) -> np.ndarray | None:
-    """(T, 2, 4) world rotations of the ankles, or None without legs."""
-    legs = find_legs(motion.skeleton)
-    if legs is None:
-        return None
-    return motion.global_rotations()[:, [motion.skeleton.index(leg.ankle) for leg in legs.values()]]
 
 
 def _turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -165,7 +157,7 @@ def _on_body(pose: Motion, motion: Motion, root: int) -> Motion:
     place[:, 1] = (place[:, 1] - floor) * body_scale(motion.skeleton) / body_scale(pose.skeleton)
     place[:, 1] += floor_height(motion) if "floor" in pose.info else 0.0
     made = replace(motion[:1], rotations=rotations)
-    return with_root(made, root, place, pose.global_rotations()[:, root])
+    return made.with_joint_at(root, place, pose.global_rotations()[:, root])
 
 
 def _facing(motion: Motion, root: int, angle: float) -> Motion:
@@ -178,10 +170,10 @@ def _onto(motion: Motion, pose: Motion, root: int) -> Motion:
     """Return the motion carried to where its first frame stands on the feet of a pose."""
     first = motion[:1]
     angle = heading(pose) - heading(first)
-    own, turns = _foot_turns(first), _foot_turns(pose)
-    if own is not None and turns is not None:
+    if ankles := ankle_joints(motion.skeleton):
+        turn = _turn_between(*(one.global_rotations()[:, ankles] for one in (first, pose)))[0]
         # The pelvis may be twisted on feet that stand alike, but a foot in the air is no stance.
-        twist = (_turn_between(own, turns)[0] - angle + np.pi) % (2 * np.pi) - np.pi
+        twist = (turn - angle + np.pi) % (2 * np.pi) - np.pi
         angle += np.clip(twist, -_TWIST, _TWIST)
     return carried(motion, root, angle, _stance(first, root)[0], _stance(pose, root)[0])
 
@@ -195,10 +187,9 @@ def _begun(motion: Motion, pose: Motion, count: int, may_stay: bool) -> Motion:
         count: frames.
         may_stay: whether feet that the motion does not move may stay as in the pose to its end.
     """
-    made, legs = eased(pose, motion, count), find_legs(motion.skeleton)
-    if legs is None:
+    made, ankles = eased(pose, motion, count), ankle_joints(motion.skeleton)
+    if not ankles:
         return made
-    ankles = [motion.skeleton.index(leg.ankle) for leg in legs.values()]
     places, turns = motion.positions()[:, ankles], motion.global_rotations()[:, ankles]
     apart = pose.positions()[0, ankles] - places[0]
     turned = rotation_vector_from_quaternion(

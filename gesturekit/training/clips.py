@@ -16,7 +16,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_parts
 from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.retarget.body_frames import standing_pose
 from gesturekit.motion.root_path import heading
 from gesturekit.motion.rotations import slerp
 from gesturekit.motion.skeleton import GROUND

@@ -54,7 +54,9 @@ def make_clip(stem: Path, seconds: float, rng: np.random.Generator) -> None:
     gait = Gait(*rng.uniform([0.96, 0.85, 0.9], [1.04, 1.15, 1.1]))
     walk(path, gait).save(stem.with_suffix(".bvh"))
     margin = round(MARGIN * FPS)
-    write_path(path.slice(margin, path.n_frames - margin), stem.with_suffix(".path.csv"))
+    inner = slice(margin, -margin)
+    path = RootPath(path.positions[inner], path.headings[inner], FPS)
+    write_path(path, stem.with_suffix(".path.csv"))
 
 
 def draw_path(seconds: float, rng: np.random.Generator) -> RootPath:

@@ -4,8 +4,7 @@ import numpy as np
 
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES
-from gesturekit.motion.retarget.body_frames import body_frames
-from gesturekit.motion.retarget.standing_pose import FORWARD, standing_pose
+from gesturekit.motion.retarget.body_frames import FORWARD, BodyFrames, standing_pose
 from gesturekit.motion.rotations import rotate_vectors
 
 TOLERANCE = np.deg2rad(5.0)
@@ -18,7 +17,7 @@ def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
     """Find the frames in which a hinge bends the wrong way by more than `TOLERANCE`.
 
     A knee does if the shank points ahead of the thigh, an elbow if the forearm points behind the
-    upper arm. Ahead is the forward axis of the upper bone's anatomical frame (`body_frames`).
+    upper arm. Ahead is the forward axis of the upper bone's anatomical frame (`BodyFrames`).
 
     Returns:
         "left_elbow", "right_elbow", "left_knee", "right_knee" to (T,) bool; without a wrist joint
@@ -27,7 +26,7 @@ def bent_backwards(motion: Motion) -> dict[str, np.ndarray]:
     Raises:
         MotionError: parts that cannot be identified, or a body that never stands.
     """
-    frames = body_frames(motion.skeleton, standing_pose(motion))
+    frames = BodyFrames(motion.skeleton, standing_pose(motion))
     world, positions = frames.world(motion.global_rotations()), motion.positions()
     found = {}
     for upper, hinge, end, sign in _HINGES:

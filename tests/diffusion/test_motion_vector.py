@@ -126,7 +126,7 @@ def test_on_a_path_the_root_is_where_the_path_is(shared_data, gesture, file):
     representation = DeltaRepresentation.fit([motion], root=False)
     values = representation.encode(motion)
     assert values.shape[1] == representation.n_features
-    path = representation.path_of(motion).smoothed(round(motion.fps / 3))
+    path = representation.path_of(motion).smoothed()
     made = representation.decode(values, motion.fps, path=path)
     root = representation.root
     assert np.abs(made.positions()[:, root][:, [0, 2]] - path.positions).max() < 1e-6

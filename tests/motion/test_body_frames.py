@@ -7,13 +7,13 @@ import pytest
 from rigs import at_rest, with_offsets
 
 from gesturekit.motion import Skeleton
-from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
+from gesturekit.motion.retarget.body_frames import BodyFrames
 
 FOOT = 0.15
 
 
 def frames_of(rig: Skeleton) -> BodyFrames:
-    return body_frames(rig, at_rest(rig, 1).rotations[0])
+    return BodyFrames(rig, at_rest(rig, 1).rotations[0])
 
 
 def with_feet(rig: Skeleton, bone: tuple[float, float, float]) -> Skeleton:

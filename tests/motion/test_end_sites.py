@@ -6,7 +6,7 @@ from rigs import PERSON, rig_of
 from gesturekit.motion import Skeleton
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts.body_size import real_end_sites
-from gesturekit.postprocess.feet import find_feet
+from gesturekit.postprocess.foot_lock import find_feet
 
 
 def with_ends(skeleton: Skeleton, **ends: tuple[float, float, float]) -> Skeleton:
@@ -44,4 +44,4 @@ def test_made_up_ends_are_no_points_of_a_foot(skeleton):
     up = {"LeftFoot": (0.0, 0.42, 0.0), "RightFoot": (0.0, 0.42, 0.0)}
     rig = with_ends(skeleton, **up)
     assert [point.joint for point in foot_points(rig)] == ["LeftFoot", "RightFoot"]
-    assert all(len(foot.sole) == 1 and foot.ball is None for foot in find_feet(rig))
+    assert all(len(foot.sole) == len(foot.anchors) == 1 for foot in find_feet(rig)[2])

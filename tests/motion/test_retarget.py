@@ -14,7 +14,7 @@ from gesturekit.motion.contacts import contact_labels, foot_positions
 from gesturekit.motion.face import smplx_face
 from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.retarget import Transfer, retarget
-from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.retarget.body_frames import standing_pose
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles
 
 UPRIGHT = np.array([0.0, 0.9, 0.0])

@@ -95,4 +95,5 @@ def test_tree(person):
     below = person.descendants(person.index("LeftArm"))
     assert {person.names[j] for j in below} == {"LeftForeArm", "LeftHand"}
     assert person.depth[chest] == 2
-    assert person.is_leaf(person.index("Head")) and not person.is_leaf(chest)
+    assert person.common_ancestor(*map(person.index, ("LeftHand", "RightArm", "Neck"))) == chest
+    assert person.common_ancestor(chest, person.index("LeftHand")) == chest

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
+from gesturekit.motion.retarget.body_frames import standing_pose, standing_rig
 from gesturekit.motion.skeleton import forward_kinematics
 
 RIG = rig_of(PERSON).scaled(1.4 / 1.44)

@@ -23,7 +23,7 @@ from gesturekit.motion.parts import (
     upper_body,
 )
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.retarget.body_frames import body_frames
+from gesturekit.motion.retarget.body_frames import BodyFrames
 from gesturekit.postprocess import lock_feet
 
 LEGS = ("UpLeg", "Leg", "Foot", "Toe", "hip", "knee", "ankle", "left_foot", "right_foot")
@@ -96,7 +96,7 @@ def test_retargeting_to_a_whole_body_stands_it_on_the_floor(zeggs):
 def test_an_upper_body_is_scaled_by_the_legs_it_would_have(person):
     """The hips of the person are 0.82 m over the ankles, and 0.88 m over the toes."""
     rig = bust(person)
-    would = body_frames(rig, at_rest(rig, 1).rotations[0]).leg_length()
+    would = BodyFrames(rig, at_rest(rig, 1).rotations[0]).leg_length()
     way = np.stack([np.linspace(0, 1, 31), np.linspace(-0.1, 0.1, 31), np.linspace(0, -2, 31)], 1)
     source = at_rest(rig, 31, [0.3, 1.7, 0.1] + way)
     turn = Rotation.from_euler("y", 0.8) * Rotation.from_euler("x", 0.3)

@@ -7,7 +7,7 @@ of its floor.
 import numpy as np
 import pytest
 
-from gesturekit.postprocess.feet import contact_frames, contact_spans, split_at_movement
+from gesturekit.postprocess.foot_lock import contact_frames, contact_spans, split_at_movement
 
 FPS = 50.0
 

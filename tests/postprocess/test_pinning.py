@@ -6,7 +6,7 @@ Corrections fade within 0.15 s, or more slowly if they would be faster than 0.3 
 import numpy as np
 import pytest
 
-from gesturekit.postprocess.feet import pin, soft_clamp
+from gesturekit.postprocess.foot_lock import pin, soft_clamp
 
 FPS, RADIUS, FASTEST = 100.0, 0.4, 0.3
 SMALL = 0.01
@@ -14,7 +14,7 @@ SMALL = 0.01
 
 
 def pinned(places, *spans, radius: float = RADIUS, lifts=0.0, fps: float = FPS):
-    return pin(places, list(spans), 0.0, fps, radius, FASTEST, lifts)
+    return pin(places, list(spans), 0.0, fps, radius, FASTEST, np.broadcast_to(lifts, len(places)))
 
 
 def at_heights(n_frames: int, *heights: tuple[int, int, float]) -> np.ndarray:

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.parts.finder import ARM, KNOWN_PARTS, LEG, PartFinder
-from gesturekit.motion.parts.limbs import SIDES, bone_length, find_limbs, named_pairs
+from gesturekit.motion.parts.finder import (
+    KNOWN_PARTS,
+    Arm,
+    BodyParts,
+    Leg,
+    PartFinder,
+    bone_length,
+    find_legs,
+    find_parts,
+    known_parts,
+    named_pairs,
+    require_legs,
+)
+from gesturekit.motion.parts.limbs import SIDES, Limbs
 from gesturekit.motion.skeleton import Skeleton
 
 __all__ = [
@@ -20,6 +30,7 @@ __all__ = [
     "Arm",
     "BodyParts",
     "Leg",
+    "ankle_joints",
     "arm_joints",
     "arm_length",
     "body_joints",
@@ -28,6 +39,7 @@ __all__ = [
     "heading_joints",
     "is_upper_body",
     "known_part_labels",
+    "known_parts",
     "left_right_pairs",
     "leg_joints",
     "leg_length",
@@ -37,53 +49,6 @@ __all__ = [
     "unidentified",
     "upper_body",
 ]
-
-
-@dataclass(frozen=True)
-class Arm:
-    """Joint names of one arm; None where the rig has no such joint."""
-
-    clavicle: str | None
-    shoulder: str
-    elbow: str
-    wrist: str | None
-
-
-@dataclass(frozen=True)
-class Leg:
-    """Joint names of one leg; None where the rig has no such joint."""
-
-    hip: str
-    knee: str
-    ankle: str
-    toe: str | None
-
-
-@dataclass(frozen=True)
-class BodyParts:
-    """Joint names by body part.
-
-    Attributes:
-        pelvis: joint where the legs meet the spine; without legs, the lowest joint of the trunk.
-        spine: joints above the pelvis up to the parent of the arms, in order.
-        neck: the lowest joint between spine and head; None if there is none.
-        head: None if the rig has none.
-        arms: "left" and "right".
-        legs: "left" and "right"; empty if the rig has no legs.
-        fingers: joints below the wrists, except hands and end joints.
-        face: joints below the head (jaw, eyes), except end joints.
-        ends: leaves that only mark the end of a bone ("HeadEnd", "LeftToe_End", "Nub").
-    """
-
-    pelvis: str
-    spine: tuple[str, ...]
-    neck: str | None
-    head: str | None
-    arms: Mapping[str, Arm]
-    legs: Mapping[str, Leg]
-    fingers: tuple[str, ...]
-    face: tuple[str, ...]
-    ends: tuple[str, ...]
 
 
 def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
@@ -98,8 +63,8 @@ def left_right_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     pairs = named_pairs(skeleton)
     if not pairs:
         with suppress(MotionError):
-            shape = find_limbs(skeleton)
-            pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape.pairs)
+            shape = Limbs(skeleton).pairs
+            pairs = tuple((skeleton.names[a], skeleton.names[b]) for a, b in shape)
     pairs = [*by_hand.items(), *(pair for pair in pairs if specified.isdisjoint(pair))]
     return tuple(sorted(pairs, key=lambda pair: skeleton.index(pair[0])))
 
@@ -117,75 +82,16 @@ def _pairs_by_hand(skeleton: Skeleton) -> Iterator[tuple[str, str]]:
             yield from ((skeleton.names[a], skeleton.names[b]) for a, b in zip(*sides))
 
 
-@functools.lru_cache(maxsize=64)  # skeletons never change
-def find_parts(skeleton: Skeleton) -> BodyParts:
-    """Identify the body parts of a rig, including those specified by hand (`Skeleton.parts`).
-
-    A rig with arms has no legs if nothing on its trunk could be a leg. Chains that could be, and
-    are not identified, are an error.
-
-    Raises:
-        MotionError: parts that cannot be identified, or are implausible (a knee that is not below
-            the hip, a left leg twice as long as the right one, ...). The error says which joint to
-            specify by hand.
-    """
-    finder = PartFinder.complete(skeleton)
-
-    def names(joints: Iterable[int]) -> tuple[str, ...]:
-        return tuple(skeleton.names[j] for j in joints)
-
-    assert finder.pelvis is not None
-    below_head = () if finder.head is None else skeleton.descendants(finder.head)
-    return BodyParts(
-        pelvis=skeleton.names[finder.pelvis],
-        spine=names(finder.spine),
-        neck=skeleton.names[finder.neck[0]] if finder.neck else None,
-        head=None if finder.head is None else skeleton.names[finder.head],
-        arms={side: Arm(**finder.limb(side, ARM)) for side in SIDES},
-        legs={side: Leg(**finder.limb(side, LEG)) for side in SIDES} if finder.has_legs else {},
-        fingers=names(finder.fingers()),
-        face=names(j for j in below_head if j not in finder.ends),
-        ends=names(sorted(finder.ends)),
-    )
-
-
-def known_parts(skeleton: Skeleton) -> BodyParts | None:
-    """Return `find_parts`, or None if the parts cannot be identified."""
-    try:
-        return find_parts(skeleton)
-    except MotionError:
-        return None
-
-
-def find_legs(skeleton: Skeleton) -> Mapping[str, Leg] | None:
-    """Return the "left" and "right" leg of any rig; None without, or if they cannot be identified.
-
-    Unlike `find_parts`, this needs no other body parts, such as two arms or a head.
-    """
-    if parts := known_parts(skeleton):
-        return parts.legs or None
-    finder = PartFinder.of_legs(skeleton)
-    if finder is None:
-        return None
-    return {side: Leg(**finder.limb(side, LEG)) for side in SIDES}
+def ankle_joints(skeleton: Skeleton) -> list[int]:
+    """Return the joints of the left and right ankle; none without legs."""
+    legs = find_legs(skeleton) or {}
+    return [skeleton.index(leg.ankle) for leg in legs.values()]
 
 
 def leg_joints(skeleton: Skeleton, legs: Mapping[str, Leg]) -> set[str]:
     """Return the names of all joints of these legs, from the hips down; none without legs."""
     hips = [skeleton.index(leg.hip) for leg in legs.values()]
     return {skeleton.names[j] for hip in hips for j in (hip, *skeleton.descendants(hip))}
-
-
-def require_legs(skeleton: Skeleton) -> Mapping[str, Leg]:
-    """Return `find_legs`, for what cannot be done without legs.
-
-    Raises:
-        MotionError: two legs cannot be identified, or the rig has none.
-    """
-    legs = find_legs(skeleton) or find_parts(skeleton).legs
-    if not legs:
-        raise MotionError("the rig has no legs")
-    return legs
 
 
 def is_upper_body(skeleton: Skeleton) -> bool:

@@ -12,9 +12,8 @@ import numpy as np
 
 from gesturekit.errors import MotionError
 from gesturekit.motion.parts import arm_length, find_parts, leg_length
-from gesturekit.motion.parts.limbs import bare_name
-from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.skeleton import Skeleton, forward_kinematics
+from gesturekit.motion.parts.finder import bare_name
+from gesturekit.motion.skeleton import Skeleton
 
 REFERENCE_SIZE = 1.4
 """Metres; size of the body that every constant in metres or m/s is given for, an adult of 1.7 m."""
@@ -77,10 +76,9 @@ def body_height(skeleton: Skeleton) -> float:
     try:
         height = stature(skeleton) / (1 - _ABOVE_AND_BELOW)
     except MotionError:
-        rest = np.broadcast_to(IDENTITY, (skeleton.n_joints, 4))
         fork = first_fork(skeleton)
-        places = forward_kinematics(rest, np.zeros(3), skeleton)
-        height = float(np.ptp(places[[fork, *skeleton.descendants(fork)]], axis=0).max())
+        body = skeleton.rest_positions[[fork, *skeleton.descendants(fork)]]
+        height = float(np.ptp(body, axis=0).max())
     if height <= 0:
         raise MotionError("the rig has no bone of any length, and so no height")
     return height
@@ -135,7 +133,7 @@ def real_end_sites(skeleton: Skeleton) -> dict[str, tuple[np.ndarray, ...]]:
     real: dict[str, list[np.ndarray]] = {}
     for (name, site), made_up in zip(named, (off & copied) | too_long):
         joint = skeleton.index(name)
-        marks_end = skeleton.is_leaf(joint) and bare_name(name, "").endswith(_MARKERS)
+        marks_end = not skeleton.children(joint) and bare_name(name, "").endswith(_MARKERS)
         if joint == 0 or not (made_up or marks_end):
             real.setdefault(name, []).append(site)
     return {name: tuple(sites) for name, sites in real.items()}

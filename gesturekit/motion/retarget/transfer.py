@@ -5,9 +5,12 @@
    two rest poses are. Spines and necks with different numbers of joints are matched along their
    length.
 2. The path of the hips is scaled by leg length, measured above each rig's own ankles.
-3. Hands near the body are placed where they are on the source, scaled by arm span (`place_hands`).
-4. If the target's feet are then not at the scaled source positions, two-bone IK places them there
-   (`FootTargets`): planted feet stay planted, on the floor.
+3. Hands near the body are placed where they are on the source, scaled by arm span: if only
+   directions were copied, folded hands would come apart on a body with wider shoulders, or pass
+   through each other. An arm that hangs or points away keeps its direction. In between the two
+   targets are blended.
+4. If the target's feet are then not at the scaled source positions, two-bone IK places them there:
+   planted feet stay planted, on the floor.
 
 Joints without a counterpart in the source keep their rest rotation. Where one of the rigs has no
 legs, the pelvis moves as the source's, and legs of the target stand straight below it.
@@ -16,20 +19,29 @@ legs, the pelvis moves as the source's, and legs of the target stand straight be
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from gesturekit.errors import MotionError
-from gesturekit.motion.motion import Motion
-from gesturekit.motion.retarget.body_frames import BodyFrames, body_frames
-from gesturekit.motion.retarget.standing_pose import standing_pose, standing_rig
-from gesturekit.motion.retarget.targets import (
+from gesturekit.motion.contacts import CONTACT_SPEED
+from gesturekit.motion.ik import (
     HIP_DROP_SECONDS,
-    FootMotion,
-    FootTargets,
-    heading_of,
-    place_hands,
+    STRETCH,
+    Reach,
+    bend_limbs,
+    smooth_upper_envelope,
+    too_high,
+)
+from gesturekit.motion.motion import Motion
+from gesturekit.motion.parts import SIDES
+from gesturekit.motion.parts.body_size import body_scale
+from gesturekit.motion.resampling import smoothstep
+from gesturekit.motion.retarget.body_frames import (
+    FORWARD,
+    BodyFrames,
+    standing_pose,
+    standing_rig,
 )
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -41,6 +53,11 @@ from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rota
 
 _FLOOR_MARKER = 0.25
 """Share of the leg length; a root farther from the pelvis is a marker on the floor."""
+_FEWEST_STANDING = 5
+"""Frames in which a foot must stand for its height to be measured."""
+
+Heights = tuple[tuple[float, float], tuple[float, float]]
+"""(ankle, toe) above the floor of a level foot, metres, of the source and of the target."""
 
 
 def retarget(
@@ -71,6 +88,57 @@ def retarget(
     return Transfer(skeleton, feet=feet, pose=pose)(motion)
 
 
+class _FootMotion(NamedTuple):
+    """Foot positions of the source, and when each foot stands; left before right.
+
+    Attributes:
+        ankles: (T, 2, 3) metres.
+        toes: (T, 2, 3) of the toe point, or of the ankle on a side without one, metres.
+        standing: (T, 2) bool, true if heel and toe are both still.
+        hips: (T, 3) midpoint between the hips, metres.
+        stretch: (T, 2), distance from hip to ankle as a share of the leg length, 0 to 1.
+        floor: height of the lowest joint of a standing foot, metres.
+    """
+
+    ankles: np.ndarray
+    toes: np.ndarray
+    standing: np.ndarray
+    hips: np.ndarray
+    stretch: np.ndarray
+    floor: float
+
+
+def _foot_motion(
+    motion: Motion, frames: BodyFrames, positions: np.ndarray, world: np.ndarray
+) -> _FootMotion:
+    """Measure the feet of a motion.
+
+    Args:
+        motion: T frames.
+        frames: segments of its rig.
+        positions: (T, J, 3) positions of its joints, metres.
+        world: (T, J, 4) their world rotations.
+    """
+    hips, knees, ankles = (
+        positions[:, [frames.joints[f"{side}_{part}"] for side in SIDES]]
+        for part in ("hip", "knee", "ankle")
+    )
+    toes = ankles.copy()
+    for k, side in enumerate(SIDES):
+        if side in frames.toes:
+            joint, offset = frames.toes[side]
+            toes[:, k] = positions[:, joint] + rotate_vectors(world[:, joint], offset)
+    both = np.stack([ankles, toes], axis=1)
+    speed = np.linalg.norm(np.diff(both, axis=0, prepend=both[:1]), axis=3) * motion.fps
+    standing = (speed < CONTACT_SPEED * body_scale(motion.skeleton)).all(axis=1)
+    lowest = np.minimum(ankles, toes)[..., 1]
+    still = lowest[standing]
+    floor = np.median(still) if len(still) > 10 else np.quantile(lowest.min(axis=1), 0.05)
+    bones = np.linalg.norm(knees - hips, axis=2) + np.linalg.norm(ankles - knees, axis=2)
+    stretch = np.linalg.norm(ankles - hips, axis=2) / bones
+    return _FootMotion(ankles, toes, standing, hips.sum(axis=1) / 2, stretch, float(floor))
+
+
 class Transfer:
     """Retargeting of motions of one rig, such as the parts of a stream.
 
@@ -87,18 +155,18 @@ class Transfer:
             raise MotionError(f"skeleton is a {kind}, and must be a Skeleton{hint}")
         self._skeleton, self._feet, self._pose = skeleton, feet, pose
         self._source: BodyFrames | None = None
-        self._targets: FootTargets
-        self._path: tuple[np.ndarray, float] | None = None
+        self._lean: np.ndarray | None = None
+        self._lift: float | None = None
 
     def __call__(self, motion: Motion) -> Motion:
         """Return the motion on the target rig; errors as for `retarget`."""
         skeleton, rig = self._skeleton, motion.skeleton
         same = (skeleton.names, skeleton.parents) == (rig.names, rig.parents)
-        source = self._source or body_frames(rig, standing_pose(motion))
+        source = self._source or BodyFrames(rig, standing_pose(motion))
         places, turns = motion.positions(), motion.global_rotations()
-        feet = FootMotion.measure(motion, source, places, turns) if source.parts.legs else None
+        feet = _foot_motion(motion, source, places, turns) if source.parts.legs else None
         if self._source is None:
-            source = self._fit(motion, source, feet, same)
+            source = self._source = self._fit(motion, source, places, feet, same)
         target, carrier = self._target, self._carrier
         moving = {
             name: values * self._scale
@@ -111,76 +179,141 @@ class Transfer:
         above = invert_quaternions(world[:, list(skeleton.parents[1:])])
         rotations[:, 1:] = multiply_quaternions(above, world[:, 1:])
         positions = forward_kinematics(rotations, np.zeros((len(world), 3)), skeleton, moving)
-        rotations = place_hands(source, target, places, turns, positions, rotations)
+        rotations = _place_hands(source, target, places, turns, positions, rotations)
         # Neither arms nor legs move the hips, or what is above them.
         if feet is None or not target.parts.legs:
-            shift = self._pelvis_shift(places[:, source.joints["pelvis"]], positions, feet)
+            shift = self._pelvis_shift(places[:, source.joints["pelvis"]], positions)
         else:
             rotations, shift = self._on_feet(rotations, world, positions, feet)
-        carried = positions[:, carrier] + shift
-        made = _placed(motion, skeleton, rotations, moving, carrier, carried)
-        return replace(made, face=motion.face)
+        still = np.zeros((len(world), 3))
+        info = {k: motion.info[k] for k in ("source",) if k in motion.info}
+        made = Motion(skeleton, rotations, still, motion.fps, moving, info, motion.face)
+        # Joints above the carrier stand still.
+        return made.with_joint_at(carrier, positions[:, carrier] + shift)
 
     def _fit(
-        self, motion: Motion, source: BodyFrames, feet: FootMotion | None, same: bool
+        self,
+        motion: Motion,
+        source: BodyFrames,
+        places: np.ndarray,
+        feet: _FootMotion | None,
+        same: bool,
     ) -> BodyFrames:
         """Measure the first motion, and return the frames of its rig with level feet."""
         if feet is not None:
             source = source.levelled(motion, feet.standing)
         if same:
             # Joint axes mean the same on one rig, whatever the offsets of a performer.
-            target = replace(source, skeleton=self._skeleton)
+            target = source.on(self._skeleton)
         else:
             pose = standing_rig(self._skeleton) if self._pose is None else np.asarray(self._pose)
-            target = body_frames(self._skeleton, pose)
-        self._source, self._target, self._carrier = source, target, _carrier(target)
-        self._scale = target.leg_length() / source.leg_length()
-        if feet is not None and target.parts.legs:
-            heights = feet.heights(source, target, same, self._scale)
-            drop_frames = round(HIP_DROP_SECONDS * motion.fps)
-            base = np.array([feet.hips[0, 0], feet.floor, feet.hips[0, 2]])
-            self._targets = FootTargets(target, self._scale, feet, heights, drop_frames, base)
+            target = BodyFrames(self._skeleton, pose)
+        self._target, self._scale = target, target.leg_length() / source.leg_length()
+        pelvis = target.joints["pelvis"]
+        far = np.linalg.norm(target.places[pelvis] - target.places[0])
+        # The joint that carries the body: the root, or the pelvis if the root is a marker.
+        self._carrier = pelvis if far > _FLOOR_MARKER * target.leg_length() else 0
+        self._drop_frames = round(HIP_DROP_SECONDS * motion.fps)
+        # The point on the floor about which the source is scaled.
+        self._base = places[0, source.joints["pelvis"]] * [1, 0, 1]
+        if feet is not None:
+            self._base[1] = feet.floor
+            if target.parts.legs:
+                self._base[[0, 2]] = feet.hips[0, [0, 2]]
+                self._heights = [self._foot_heights(k, source, feet, same) for k in (0, 1)]
         return source
 
+    def _foot_heights(
+        self, side: int, source: BodyFrames, feet: _FootMotion, same: bool
+    ) -> Heights:
+        """Return the heights of a foot; `same`: both are one rig, apart from its size."""
+        ankle, toe = source.foot_heights(SIDES[side])
+        if (still := feet.standing[:, side]).sum() >= _FEWEST_STANDING:
+            ankle, toe = (
+                float(np.median(points[still, side, 1])) - feet.floor
+                for points in (feet.ankles, feet.toes)
+            )
+        scaled = ankle * self._scale, toe * self._scale
+        return (ankle, toe), scaled if same else self._target.foot_heights(SIDES[side])
+
     def _on_feet(
-        self, rotations: np.ndarray, world: np.ndarray, positions: np.ndarray, feet: FootMotion
+        self, rotations: np.ndarray, world: np.ndarray, positions: np.ndarray, feet: _FootMotion
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return local rotations (T, J, 4) with solved legs, and the movement (T, 3) of the hips.
 
         `world` and `positions` are those of the target's joints, its root at the origin.
         """
-        if self._targets.shift is None:
-            self._targets = replace(self._targets, shift=self._targets.mean_shift(world))
-        targets = replace(self._targets, source=feet)
-        hips = targets.hips(world)
-        if self._feet:
-            hips = hips - targets.hip_drop(world, positions, hips)
-            rotations = targets.solve_legs(rotations, world, positions, hips)
-        return rotations, hips - targets.hip_centre(positions)
+        target, joints = self._target, self._target.joints
+        ankles = [self._ankle(side, world, feet) for side in (0, 1)]
+        pelvis = multiply_quaternions(world[:, joints["pelvis"]], target.from_anatomical["pelvis"])
+        heading = _heading_of(pelvis)
+        if self._lean is None:
+            # With this offset the hips' mean place over the ankles is that of the source, so that
+            # a target with longer or shorter feet does not lean. Heights do not matter.
+            moved = sum(
+                ankle - self._scaled(feet.ankles[:, side], 0.0, 0.0)
+                for side, ankle in enumerate(ankles)
+            )
+            lean = rotate_vectors(invert_quaternions(heading), moved / 2)
+            self._lean = lean.mean(axis=0) * [1, 0, 1]
+        before, after = [float(np.mean([own[i][0] for own in self._heights])) for i in (0, 1)]
+        hips = self._scaled(feet.hips, before, after) + rotate_vectors(heading, self._lean)
+        left, right = (positions[:, joints[f"{side}_hip"]] for side in SIDES)
+        centre = (left + right) / 2
+        if not self._feet:
+            return rotations, hips - centre
+        low = np.zeros(len(hips))
+        for hip, ankle, side in zip((left, right), ankles, (0, 1)):
+            length = target.leg_lengths()[SIDES[side]] * np.maximum(feet.stretch[:, side], STRETCH)
+            low = np.maximum(low, too_high(hips + (hip - centre) - ankle, length))
+        hips[:, 1] -= smooth_upper_envelope(low, self._drop_frames)
+        places, limbs = positions + (hips - centre)[:, None], []
+        for side, ankle in zip(SIDES, ankles):
+            limb = [joints[f"{side}_{part}"] for part in ("hip", "knee", "ankle")]
+            thigh = multiply_quaternions(world[:, limb[0]], target.from_anatomical[f"{side}_hip"])
+            pole = rotate_vectors(thigh, FORWARD)
+            # Feet keep their orientation.
+            turn = world[:, limb[2]]
+            limbs.append(Reach(limb[:2], limb[2], places[:, limb], ankle, turn, pole))
+        return bend_limbs(target.skeleton, rotations, world, limbs), hips - centre
 
-    def _pelvis_shift(
-        self, pelvis: np.ndarray, positions: np.ndarray, feet: FootMotion | None
-    ) -> np.ndarray:
+    def _ankle(self, side: int, world: np.ndarray, feet: _FootMotion) -> np.ndarray:
+        """(T, 3) target position of an ankle, metres.
+
+        It puts the ball of the foot, on which people stand and turn, at the source's position.
+        """
+        (own_ankle, own_toe), (ankle, toe) = self._heights[side]
+        if SIDES[side] not in self._target.toes:
+            return self._scaled(feet.ankles[:, side], own_ankle, ankle)
+        tip = self._scaled(feet.toes[:, side], own_toe, toe)
+        turn = world[:, self._target.joints[f"{SIDES[side]}_ankle"]]
+        return tip - rotate_vectors(turn, self._target.foot(SIDES[side]))
+
+    def _scaled(self, points: np.ndarray, own_height: float, height: float) -> np.ndarray:
+        """(T, 3) `points` (T, 3) scaled about a point on the floor.
+
+        Height `own_height` above the floor in the source becomes `height` in the target.
+        """
+        base = self._base + [0, own_height, 0]
+        return (points - base) * self._scale + base + [0, height - own_height, 0]
+
+    def _pelvis_shift(self, pelvis: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """(T, 3) movement of the pelvis where one of the rigs has no legs.
 
         The path of the source's `pelvis` (T, 3) is scaled about the floor under its first frame,
         which is at 0 without feet. The height of a source without legs says nothing about
         standing, so that a target with legs stands on the floor.
         """
-        legs = self._target.parts.legs.values()
         body = positions[:, self._target.joints["pelvis"]]
-        if self._path is None:
-            floor = 0.0 if feet is None else feet.floor
-            base, lift = np.array([pelvis[0, 0], floor, pelvis[0, 2]]), 0.0
-            if legs:
+        path = (pelvis - self._base) * self._scale + self._base
+        if self._lift is None:
+            self._lift = 0.0
+            if legs := self._target.parts.legs.values():
                 names = [joint for leg in legs for joint in (leg.ankle, leg.toe)]
                 ends = [self._skeleton.index(name) for name in names if name is not None]
                 stands = np.median(body[:, 1] - positions[:, ends, 1].min(axis=1))
-                lift = stands - np.median((pelvis - base)[:, 1] * self._scale + base[1])
-            self._path = base, lift
-        base, lift = self._path
-        path = (pelvis - base) * self._scale + base + [0.0, lift, 0.0]
-        return path - body
+                self._lift = float(stands - np.median(path[:, 1]))
+        return path + [0.0, self._lift, 0.0] - body
 
 
 def _world_rotations(
@@ -242,7 +375,7 @@ def _segment_frames(
         elif kind.endswith("wrist"):
             targets[segment] = frames[kind.replace("wrist", "elbow")]
         elif not source.parts.legs and kind.endswith(("hip", "knee", "ankle", "toe")):
-            targets[segment] = heading_of(frames["pelvis"])
+            targets[segment] = _heading_of(frames["pelvis"])
         elif kind.endswith("toe"):
             targets[segment] = frames[kind.replace("toe", "ankle")]
     return targets
@@ -277,37 +410,84 @@ def _heights(frames: BodyFrames, chain: list[str]) -> np.ndarray:
     return middles / max(middles[-1], 1e-9)
 
 
-def _carrier(target: BodyFrames) -> int:
-    """Return the joint that carries the body: the root, or the pelvis if the root is a marker."""
-    pelvis = target.joints["pelvis"]
-    far = np.linalg.norm(target.places[pelvis] - target.places[0])
-    return pelvis if far > _FLOOR_MARKER * target.leg_length() else 0
+def _heading_of(turns: np.ndarray) -> np.ndarray:
+    """(T, 4) rotations about the vertical that face where anatomical frames (T, 4) face."""
+    ahead = rotate_vectors(turns, FORWARD)
+    half = np.arctan2(ahead[:, 0], ahead[:, 2]) / 2
+    return np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
 
 
-def _placed(
-    motion: Motion,
-    skeleton: Skeleton,
+_INSIDE, _OUTSIDE = 0.4, 1.1
+"""Lateral distances from the middle of the body, as shares of half the shoulder width: up to the
+first a hand is placed by position, from the second on by the direction of its arm."""
+
+
+def _place_hands(
+    source: BodyFrames,
+    target: BodyFrames,
+    source_positions: np.ndarray,
+    source_world: np.ndarray,
+    positions: np.ndarray,
     rotations: np.ndarray,
-    moving: dict[str, np.ndarray],
-    carrier: int,
-    position: np.ndarray,
-) -> Motion:
-    """Return the motion with joint `carrier` at `position` (T, 3); joints above it stand still."""
-    translation = position
-    if carrier:
-        translation = np.zeros_like(position)
-        parent = skeleton.parents[carrier]
-        positions = forward_kinematics(rotations, translation, skeleton, moving)[:, parent]
-        world = global_rotations(rotations, skeleton)[:, parent]
-        moving = dict(moving)
-        moving[skeleton.names[carrier]] = rotate_vectors(
-            invert_quaternions(world), position - positions
-        )
-    return Motion(
-        skeleton=skeleton,
-        rotations=rotations,
-        translation=translation,
-        fps=motion.fps,
-        joint_translations=moving,
-        info={k: motion.info[k] for k in ("source",) if k in motion.info},
+) -> np.ndarray:
+    """(T, J, 4) local rotations of the target with hands near the body placed as on the source.
+
+    Args:
+        source: segments of the source rig.
+        target: segments of the target rig.
+        source_positions: (T, J', 3) positions of the source's joints, metres.
+        source_world: (T, J', 4) world rotations of the source's joints.
+        positions: (T, J, 3) positions of the target's joints, before hands are placed.
+        rotations: (T, J, 4) local rotations of the target's joints.
+    """
+    if any(side not in frames.hands for side in SIDES for frames in (source, target)):
+        return rotations
+    chest = source.chain("spine")[-1]
+    torso = multiply_quaternions(
+        source_world[:, source.joints[chest]], source.from_anatomical[chest]
     )
+    world = global_rotations(rotations, target.skeleton)
+    source_arms = _arms(source, source_positions, source_world)
+    arms = _arms(target, positions, world)
+    scale = _span(arms) / _span(source_arms)
+    limbs = []
+    for side, outward in zip(SIDES, (1.0, -1.0)):
+        middle = _between_shoulders(source_arms)
+        away = source_arms[side][:, 2] - middle
+        lateral = rotate_vectors(invert_quaternions(torso), away)[:, 0]
+        half = np.linalg.norm(source_arms[side][:, 0] - middle, axis=1)
+        share = np.clip((outward * lateral / half - _INSIDE) / (_OUTSIDE - _INSIDE), 0, 1)
+        weight = 1 - smoothstep(share)
+        by_position = _between_shoulders(arms) + scale * away
+        by_direction = arms[side][:, 2]
+        bones = [target.joints[f"{side}_{part}"] for part in ("shoulder", "elbow")]
+        upper_arm = target.from_anatomical[f"{side}_shoulder"]
+        pole = rotate_vectors(multiply_quaternions(world[:, bones[0]], upper_arm), -FORWARD)
+        goal = by_direction + weight[:, None] * (by_position - by_direction)
+        wrist = target.joints.get(f"{side}_wrist")
+        turn = None if wrist is None else world[:, wrist]  # the hand keeps its orientation
+        limbs.append(Reach(bones, wrist, arms[side], goal, turn, pole))
+    return bend_limbs(target.skeleton, rotations, world, limbs)
+
+
+def _arms(frames: BodyFrames, positions: np.ndarray, world: np.ndarray) -> dict[str, np.ndarray]:
+    """Return side to (T, 3, 3), positions of shoulder, elbow and hand, metres."""
+    arms = {}
+    for side in SIDES:
+        bones = [frames.joints[f"{side}_{part}"] for part in ("shoulder", "elbow")]
+        joint, offset = frames.hands[side]
+        hand = positions[:, joint] + rotate_vectors(world[:, joint], offset)
+        arms[side] = np.concatenate([positions[:, bones], hand[:, None]], axis=1)
+    return arms
+
+
+def _between_shoulders(arms: dict[str, np.ndarray]) -> np.ndarray:
+    """(T, 3) midpoint of the shoulders, metres."""
+    return (arms["left"][:, 0] + arms["right"][:, 0]) / 2
+
+
+def _span(arms: dict[str, np.ndarray]) -> float:
+    """Return metres from the shoulders' midpoint to an outstretched hand, mean of both arms."""
+    lengths = sum(np.linalg.norm(np.diff(arm, axis=1), axis=2).sum(axis=1) for arm in arms.values())
+    shoulders = np.linalg.norm(arms["left"][:, 0] - arms["right"][:, 0], axis=1)
+    return float(np.median(lengths + shoulders)) / 2
