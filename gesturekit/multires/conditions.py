@@ -20,7 +20,7 @@ import audio_features as af
 from gesturekit.corpus.speech import SpeechConditioner, style_track
 from gesturekit.errors import ModelError
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.layers import resample
+from gesturekit.multires.resampling import resample
 from gesturekit.state.channels import StateChannels, averaged
 
 _LEVELS = re.compile(r"(\d+)(?:-(\d+))?")

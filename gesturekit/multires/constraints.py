@@ -18,7 +18,6 @@ from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.root_path import RootPath, headings, side_axis
 from gesturekit.motion.rotations import quaternion_from_sixd
 from gesturekit.multires.keyframes import moved
-from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import (
     MultiresRepresentation,
     Normaliser,
@@ -26,6 +25,7 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
+from gesturekit.multires.resampling import resample
 from gesturekit.training.clips import BLEND, InbetweenClips, ground_positions
 
 _SWAY = 0.03

@@ -21,8 +21,8 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.resampling import resample
 from gesturekit.training.clips import ground_positions
 from gesturekit.training.own_rig import on_rig
 

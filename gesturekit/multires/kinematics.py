@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import arm_joints
 from gesturekit.motion.torch_kinematics import PointKinematics, foot_kinematics, sixd_to_matrix
-from gesturekit.multires.layers import reflect
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.resampling import reflect
 
 SMOOTHING_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths rotations before arm speed is computed, and the

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Unpack
 
@@ -21,9 +20,8 @@ from gesturekit.multires.conditions import Conditions, style_levels
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.layers import n_weights
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.networks import MultiresGenerator, load_generator
 from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence, generated
 from gesturekit.multires.request import Request, check_controls
 from gesturekit.multires.retrieval import (
@@ -42,8 +40,6 @@ from gesturekit.training.config import build, to_dict
 from gesturekit.training.features import conditioner_values, load_conditioner
 from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces
 from gesturekit.training.seeds import checked_item, checked_seed
-
-_CONVOLUTION = re.compile(r"layers\.\d+\.weight")
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -296,11 +292,7 @@ class MultiresModel(TrainedModel):
             None if state is None else channels,
         )
         trained = parts.tensors_under("network.")
-        given = sum(t.numel() for name, t in trained.items() if _CONVOLUTION.search(name))
-        if (needed := n_weights(representation, network_config, conditions.width)) != given:
-            raise ValueError(f"{needed} weights by config.yaml, {given} in model.safetensors")
-        network = MultiresGenerator(representation, conditions.width, network_config)
-        network.load_state_dict(trained)
+        network = load_generator(representation, conditions.width, network_config, trained)
         noise = TrainedNoise(
             sigma=tensors["sigma"],
             z_star=parts.tensors_under("z_star."),

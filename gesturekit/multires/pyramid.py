@@ -22,8 +22,8 @@ from torch import Tensor
 from gesturekit.errors import ModelError
 from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.conditions import LevelConditions
-from gesturekit.multires.layers import resample, resample_part
 from gesturekit.multires.networks import LevelGenerator, MultiresGenerator
+from gesturekit.multires.resampling import resample
 from gesturekit.state.channels import CARRIERS
 
 if TYPE_CHECKING:
@@ -346,7 +346,7 @@ def sample(
             reach = halo(level)
             for start, stop in tiles(n_frames, tile):
                 begin, end = max(0, start - reach), min(n_frames, stop + reach)
-                up = resample_part(coarser, n_frames, begin, end)
+                up = resample(coarser, n_frames, begin, end)
                 tile_noise = up.new_zeros(len(up), 1, 1) if noise is None else noise[..., begin:end]
                 given = None if condition is None else condition(i, begin, end)
                 made = level(up, tile_noise, given, backend.convolve)

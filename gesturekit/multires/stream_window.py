@@ -22,9 +22,9 @@ from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
 from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.conditions import LevelConditions
-from gesturekit.multires.layers import SLOPE, resample_part
-from gesturekit.multires.networks import Film
+from gesturekit.multires.networks import SLOPE, Film
 from gesturekit.multires.pyramid import halo, mixed_carriers
+from gesturekit.multires.resampling import resample
 from gesturekit.multires.retrieval import Resumable
 from gesturekit.state.channels import averaged
 from gesturekit.state.live import AVERAGED_SECONDS, FeatureWindow
@@ -325,7 +325,7 @@ class _Level:
         self.kept = slice(part.start - begin, part.stop - begin)
         self.coarser, self.up = range(begin, end), torch.empty(0)
         if number:
-            weights = resample_part(torch.eye(lengths[number - 1]), n_frames, begin, end)
+            weights = resample(torch.eye(lengths[number - 1]), n_frames, begin, end)
             used = np.flatnonzero(weights.any(dim=1).numpy())
             self.coarser = range(int(used[0]), int(used[-1]) + 1)
             self.up = weights[self.coarser.start : self.coarser.stop]

@@ -1,7 +1,7 @@
 """Compiled kernels of the CPU engine.
 
 Signals are (C, width) float32 arrays: each channel's windows stand one after another, as
-`sparse_conv.Packing` lays them out. All kernels are in this file, as numba's cache does not notice
+`engine.Packing` lays them out. All kernels are in this file, as numba's cache does not notice
 that a function in another file has changed. "contract" allows fused multiply-adds; `SUMS` also
 allows any order of the sums over time, which vectorises them.
 """

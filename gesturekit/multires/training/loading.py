@@ -25,9 +25,9 @@ from gesturekit.motion.root_path import heading
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
-from gesturekit.multires.layers import modulated_blocks
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.networks import modulated_blocks
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.multires.training.data import (
     CorpusFrames,

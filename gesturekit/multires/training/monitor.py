@@ -14,8 +14,8 @@ from torch import Tensor
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.layers import Convolve, convolve_dense, resample
-from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.networks import Convolve, MultiresGenerator, convolve_dense
+from gesturekit.multires.resampling import resample
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.windows import random_noise

@@ -25,8 +25,8 @@ from torch import Tensor, nn
 from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import Normaliser
+from gesturekit.multires.resampling import reflect, resample
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.state.channels import averaged

@@ -19,9 +19,9 @@ from torch import Tensor
 
 from gesturekit.multires.conditions import mixed_styles
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.layers import Convolve, convolve_dense, resample
-from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.networks import Convolve, MultiresGenerator, convolve_dense
 from gesturekit.multires.pyramid import RandomNoise, ZStarPatches
+from gesturekit.multires.resampling import resample
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.training.seeds import rng_for
