@@ -73,19 +73,19 @@ class PassiveChannels:
             rows = np.concatenate([rows, motion.face.values], axis=1)
         return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
 
-    def applied(self, motion: Motion, values: Callable[[slice], Tensor]) -> Motion:
+    def applied(self, motion: Motion, values: Callable[[slice], np.ndarray]) -> Motion:
         """Return the motion (T frames) with these channels.
 
         Args:
             motion: on the rig.
-            values: returns the channels (6 F + E, N) of a range of its frames.
+            values: returns the channels (N, 6 F + E) of a range of its frames.
         """
         rotations = motion.rotations.copy()
         index = [motion.skeleton.index(name) for name in self.joints]
         face = np.empty((motion.n_frames, len(self.face)))
         for start in range(0, motion.n_frames, _FRAMES_AT_ONCE):
             frames = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
-            rows = values(frames).T.double().numpy()
+            rows = values(frames).astype(float)
             if index:
                 sixd = rows[:, : 6 * len(index)].reshape(len(rows), len(index), 6)
                 rotations[frames, index] = quaternion_from_sixd(sixd)
@@ -351,6 +351,15 @@ class PieceSequence(Resumable):
         share = share[:, None].astype(np.float32)
         return share * shown + (1 - share) * library.played[before]
 
+    def with_passive(self, motion: Motion, first: int) -> Motion:
+        """Return a motion with the fingers and the face of the pieces from frame `first` on."""
+        passive, columns = self._library.passive, len(self._library.recordings[0].motion)
+
+        def values(frames: slice) -> np.ndarray:
+            return self.values(np.arange(frames.start, frames.stop) + first)[:, columns:]
+
+        return motion if passive.is_empty else passive.applied(motion, values)
+
 
 def played_pieces(
     library: RecordedLibrary,
@@ -375,21 +384,6 @@ def played_pieces(
         frames = np.clip(pieces.next_frame + np.arange(library.piece), 0, last)
         pieces.choose(state[:, frames])
     return pieces
-
-
-def played_passive(
-    library: RecordedLibrary, pieces: PieceSequence, motion: Motion, first: int
-) -> Motion:
-    """Return a motion with the fingers and the face of pieces, from their frame `first` on."""
-    if library.passive.is_empty:
-        return motion
-    n_motion = len(library.recordings[0].motion)
-
-    def values(frames: slice) -> Tensor:
-        shown = np.arange(frames.start, frames.stop) + first
-        return torch.from_numpy(pieces.values(shown)[:, n_motion:].T)
-
-    return library.passive.applied(motion, values)
 
 
 _CURVES = ("state", "motion", "passive")

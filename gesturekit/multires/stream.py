@@ -24,11 +24,10 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import find_legs, leg_length
 from gesturekit.motion.rotations import invert_quaternions, multiply_quaternions
 from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rotations
-from gesturekit.multires.conditions import requested_styles
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.keyframes import moved
-from gesturekit.multires.pyramid import finite
-from gesturekit.multires.retrieval import PieceSequence, Resumable, played_passive
+from gesturekit.multires.pyramid import finite, requested_styles
+from gesturekit.multires.retrieval import PieceSequence, Resumable
 from gesturekit.multires.stream_window import (
     Forecast,
     LiveState,
@@ -301,8 +300,8 @@ class MultiresStream(Resumable):
                 if self._steps <= _LATER:
                     continue
                 frame = self._placed(self._blended())
-                if self._pieces is not None and self.model.library is not None:
-                    frame = played_passive(self.model.library, self._pieces, frame, self.n_frames)
+                if self._pieces is not None:
+                    frame = self._pieces.with_passive(frame, self.n_frames)
                 frames.append(frame)
                 self.n_frames += 1
         return stacked(frames) if frames else None

@@ -21,9 +21,8 @@ from audio_features.acoustic.streaming import REACH, SpectrumStream
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of
 from gesturekit.multires.backend import choose_backend
-from gesturekit.multires.conditions import LevelConditions
 from gesturekit.multires.networks import SLOPE, Film
-from gesturekit.multires.pyramid import halo, mixed_carriers
+from gesturekit.multires.pyramid import LevelConditions, halo, mixed_carriers
 from gesturekit.multires.resampling import resample
 from gesturekit.multires.retrieval import Resumable
 from gesturekit.state.channels import averaged

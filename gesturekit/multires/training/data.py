@@ -19,9 +19,9 @@ from torch import Tensor
 
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.conditions import Conditions
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.pyramid import Conditions
 from gesturekit.multires.resampling import reflect, resample
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.state.channels import StateChannels

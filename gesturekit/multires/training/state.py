@@ -13,11 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.conditions import style_levels
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.pyramid import generated
+from gesturekit.multires.pyramid import generated, style_levels
 from gesturekit.multires.retrieval import RecordedLibrary, RecordedMotion
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.state.process import RecordedState, StateProcess

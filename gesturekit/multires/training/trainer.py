@@ -22,12 +22,12 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.errors import GestureKitError
 from gesturekit.multires.backend import choose_backend
-from gesturekit.multires.conditions import agreed_style
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.losses import LevelMotion, random_losses, reconstruction
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
+from gesturekit.multires.pyramid import agreed_style
 from gesturekit.multires.retrieval import RecordedLibrary
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import (

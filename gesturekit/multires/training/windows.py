@@ -17,10 +17,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.conditions import mixed_styles
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.networks import Convolve, MultiresGenerator, convolve_dense
-from gesturekit.multires.pyramid import RandomNoise, ZStarPatches
+from gesturekit.multires.pyramid import RandomNoise, ZStarPatches, mixed_styles
 from gesturekit.multires.resampling import resample
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.state import TrainingState
