@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -142,113 +142,62 @@ class RecordedMotion:
     speaker: str | None
     style: int
 
-    @property
-    def channels(self) -> np.ndarray:
-        """(T, D + X): all that is played."""
-        return torch.cat([self.motion, self.passive]).T.numpy()
 
-
-@dataclass(frozen=True, eq=False)
 class RecordedLibrary:
     """Recorded motion of a model, and the search for its pieces.
 
-    Attributes:
+    Args:
         fps: frames per second.
         passive: joints and face channels that are not modelled.
         recordings: at least one.
+
+    Attributes:
+        is_whole: True if whole bodies are played.
+        piece: frames of a piece.
+        fade: frames of the cross-fade into a piece.
+        hop: frames from one piece to the next.
+        played: (N, D + X) float32, all recordings, one after another.
+        starts: (S,) the frames at which a piece can begin, numbered across all recordings.
+        recording_of: (S,) the recording of each of the `starts`.
+        states: (S, (C + 1) P) float32, the state over the piece at each of the `starts`.
     """
 
-    fps: float
-    passive: PassiveChannels
-    recordings: tuple[RecordedMotion, ...]
-
-    @property
-    def is_whole(self) -> bool:
-        """True if whole bodies are played."""
-        return len(self.recordings[0].motion) > 0
-
-    @property
-    def _choice(self) -> _Choice:
-        return _WHOLE if self.is_whole else _PASSIVE
-
-    @cached_property
-    def piece(self) -> int:
-        """Frames of a piece."""
-        longest = max(each.state.shape[1] for each in self.recordings)
-        return max(1, min(round(self._choice.seconds * self.fps), longest))
-
-    @cached_property
-    def fade(self) -> int:
-        """Frames of the cross-fade into a piece."""
-        return min(round(self._choice.fade * self.fps), self.piece // 2)
-
-    @property
-    def hop(self) -> int:
-        """Frames from one piece to the next."""
-        return self.piece - self.fade
-
-    @cached_property
-    def played(self) -> np.ndarray:
-        """(N, D + X) float32: all recordings, one after another."""
-        return np.concatenate([each.channels for each in self.recordings])
-
-    @cached_property
-    def starts(self) -> np.ndarray:
-        """(S,) the frames at which a piece can begin, numbered across all recordings."""
-        first = np.cumsum([0, *(each.state.shape[1] for each in self.recordings)])
-        pairs = zip(first, self._usable, strict=False)
-        return np.concatenate([a + np.arange(n) for a, n in pairs])
-
-    @cached_property
-    def recording_of(self) -> np.ndarray:
-        """(S,) the recording of each of the `starts`."""
-        return np.repeat(np.arange(len(self.recordings)), self._usable)
-
-    @property
-    def _usable(self) -> list[int]:
-        """Number of the frames of each recording at which a piece can begin."""
-        return [max(0, each.state.shape[1] - self.piece + 1) for each in self.recordings]
-
-    @cached_property
-    def _pooled(self) -> np.ndarray:
-        """(C + 1, N): the states of all recordings, one after another."""
-        return np.concatenate([each.state.numpy() for each in self.recordings], axis=1)
-
-    @cached_property
-    def states(self) -> np.ndarray:
-        """(S, (C + 1) P) float32: the state over the piece at each of the `starts`."""
-        total = np.cumsum(np.pad(self._in_deviations(self._pooled), ((0, 0), (1, 0))), axis=1)
-        edges = self._edges
-        means = [
-            (total[:, self.starts + b] - total[:, self.starts + a]) / (b - a)
-            for a, b in zip(edges, edges[1:], strict=False)
-        ]
-        return np.concatenate(means).T.astype(np.float32)
-
-    @property
-    def _edges(self) -> np.ndarray:
-        return np.unique(np.linspace(0, self.piece, _POINTS + 1).round().astype(int))
-
-    @cached_property
-    def _usual(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation of the states, (C + 1, 1)."""
-        pooled = self._pooled
-        return pooled.mean(axis=1, keepdims=True), np.maximum(pooled.std(axis=1), 1e-3)[:, None]
-
-    def _in_deviations(self, state: np.ndarray) -> np.ndarray:
-        mean, size = self._usual
-        return (state - mean) / size
-
-    @cached_property
-    def _sizes(self) -> np.ndarray:
-        """(D + X,) standard deviation of each channel that is played."""
-        return np.maximum(self.played.std(axis=0), 1e-3)
+    def __init__(
+        self, fps: float, passive: PassiveChannels, recordings: tuple[RecordedMotion, ...]
+    ) -> None:
+        self.fps, self.passive, self.recordings = fps, passive, recordings
+        self.is_whole = len(recordings[0].motion) > 0
+        self._choice = _WHOLE if self.is_whole else _PASSIVE
+        lengths = [each.state.shape[1] for each in recordings]
+        self.piece = max(1, min(round(self._choice.seconds * fps), max(lengths)))
+        self.fade = min(round(self._choice.fade * fps), self.piece // 2)
+        self.hop = self.piece - self.fade
+        usable = [max(0, n - self.piece + 1) for n in lengths]
+        first = np.cumsum([0, *lengths])
+        self.starts = np.concatenate(
+            [a + np.arange(n) for a, n in zip(first, usable, strict=False)]
+        )
+        self.recording_of = np.repeat(np.arange(len(recordings)), usable)
+        self.played = np.concatenate(
+            [torch.cat([each.motion, each.passive]).T.numpy() for each in recordings]
+        )
+        self._sizes = np.maximum(self.played.std(axis=0), 1e-3)
+        pooled = np.concatenate([each.state.numpy() for each in recordings], axis=1)
+        self._mean = pooled.mean(axis=1, keepdims=True)
+        self._deviation = np.maximum(pooled.std(axis=1), 1e-3)[:, None]
+        total = (pooled - self._mean) / self._deviation
+        total = np.cumsum(np.pad(total, ((0, 0), (1, 0))), axis=1)
+        edges = np.unique(np.linspace(0, self.piece, _POINTS + 1).round().astype(int))
+        self._edges = [*pairwise(edges.tolist())]
+        at = self.starts
+        means = [(total[:, at + b] - total[:, at + a]) / (b - a) for a, b in self._edges]
+        self.states = np.concatenate(means).T.astype(np.float32)
 
     def distances(self, state: np.ndarray) -> np.ndarray:
         """Return the cost (S,) of each start for a drawn state (C + 1, piece)."""
-        edges, rows = self._edges, self._in_deviations(state)
-        means = [rows[:, a:b].mean(axis=1) for a, b in zip(edges, edges[1:], strict=False)]
-        return self._choice.state * np.square(self.states - np.concatenate(means)).mean(axis=1)
+        rows = (state - self._mean) / self._deviation
+        means = np.concatenate([rows[:, a:b].mean(axis=1) for a, b in self._edges])
+        return self._choice.state * np.square(self.states - means).mean(axis=1)
 
     def breaks(self, shown: int) -> np.ndarray:
         """Return the cost (S,) of each start for the poses after a frame that is shown."""
@@ -443,10 +392,9 @@ def load_library(
         )
         for i, (speaker, style) in enumerate(values["recordings"])
     )
-    library = RecordedLibrary(float(parts.config["fps"]), passive, recordings)
     sizes = {
         "state": n_channels + 1,
-        "motion": representation.n_features if library.is_whole else 0,
+        "motion": representation.n_features if len(recordings[0].motion) else 0,
         "passive": 6 * len(passive.joints) + len(passive.face),
     }
     for i, recording in enumerate(recordings):
@@ -458,4 +406,4 @@ def load_library(
                 raise ValueError(
                     f"recorded.{i}.{name} has the shape {shape}, not {size} rows of finite numbers"
                 )
-    return library
+    return RecordedLibrary(float(parts.config["fps"]), passive, recordings)
