@@ -10,6 +10,7 @@ not shown lately.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -221,18 +222,25 @@ class RecordedLibrary:
 
 
 class Resumable:
-    """Part of a stream that can go on from where another one was."""
+    """Part of a stream that can go on from where another one was; its parts are such too."""
 
     kept: ClassVar[tuple[str, ...]]
 
     def state(self) -> dict[str, Any]:
-        """Return what `restore` needs."""
-        return {name: getattr(self, name) for name in self.kept}
+        """Return what `restore` needs, as numbers and arrays."""
+        values = {name: getattr(self, name) for name in self.kept}
+        return {
+            name: value.state() if hasattr(value, "restore") else copy.deepcopy(value)
+            for name, value in values.items()
+        }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from the `state` of one with the same arguments."""
         for name in self.kept:
-            setattr(self, name, state[name])
+            if hasattr(part := getattr(self, name), "restore"):
+                part.restore(copy.deepcopy(state[name]))
+            else:
+                setattr(self, name, copy.deepcopy(state[name]))
 
 
 class PieceSequence(Resumable):

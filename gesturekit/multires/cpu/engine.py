@@ -143,17 +143,23 @@ class Packing:
         """Return an uninitialised (channels, width) array, aligned as torch aligns it."""
         return torch.empty(channels, self.width).numpy()
 
+    def _frames(self, signal: np.ndarray) -> Tensor:
+        """Return the frames of a (C, width) array as a view (B, C, T)."""
+        columns = torch.from_numpy(signal)[:, START - PADDING :][:, : self.columns]
+        windows = columns.unflatten(1, (self.shape.batch, -1)).transpose(0, 1)
+        return windows[..., PADDING:-PADDING]
+
     def pack(self, x: Tensor, *, reflect: bool) -> np.ndarray:
         """Return windows (B, C, T) as (C, width), padded by reflection or by zeros."""
-        signal = self.empty(x.shape[1])
-        kernels.pack(x.contiguous().numpy(), signal, reflect)
+        signal = torch.zeros(x.shape[1], self.width).numpy()
+        self._frames(signal).copy_(x)
+        if reflect:
+            kernels.reflect_windows(signal, self.shape)
         return signal
 
     def unpack(self, signal: np.ndarray) -> Tensor:
         """Return the frames of a (C, width) array as (B, C, T)."""
-        windows = torch.empty(self.shape.batch, len(signal), self.shape.n_frames)
-        kernels.unpack(signal, windows.numpy())
-        return windows
+        return self._frames(signal).contiguous()
 
 
 class SparseConv:
@@ -462,14 +468,8 @@ def unsupported(*networks: nn.Module) -> str | None:
         if not network.training and network in _SUPPORTED:
             continue
         for name, module in network.named_modules():
-            problem = _problem(module)
-            if problem:
+            if problem := _problem(module):
                 return f"{type(module).__name__}{f' ({name})' if name else ''} {problem}"
-        for parameter in network.parameters():
-            if parameter.device.type != "cpu" or parameter.dtype != torch.float32:
-                return f"it needs float32 weights on the CPU, not {parameter.dtype} on " + str(
-                    parameter.device
-                )
         if not network.training:
             _SUPPORTED.add(network)
     return None
@@ -488,6 +488,9 @@ def _problem(module: nn.Module) -> str | None:
         return "has a hook or overrides forward, which the numba engine would not call"
     if type(module) is SkeletonConv1d and module.shape[-1] > TAPS:
         return f"has a kernel of {module.shape[-1]} frames; the numba engine computes up to {TAPS}"
+    for weight in module.parameters(recurse=False):
+        if weight.device.type != "cpu" or weight.dtype != torch.float32:
+            return f"needs float32 weights on the CPU, not {weight.dtype} on {weight.device}"
     return None
 
 
@@ -627,4 +630,10 @@ class _SparseChain(torch.autograd.Function):
                 gradient = conv.convolve(
                     padded_weight(layer), gradient, packing, gate=gate, slope=slope, reverse=True
                 )
-        return packing.unpack(gradient) if wanted[0] else None, None, None, None, *by_layers
+        return (
+            packing.unpack(gradient) if wanted[0] else None,
+            None,
+            None,
+            None,
+            *by_layers,
+        )

@@ -150,31 +150,6 @@ def _fold(window: np.ndarray, n_frames: int) -> None:
 
 
 @compiled()
-def pack(windows: np.ndarray, signal: np.ndarray, reflect: bool) -> None:
-    """Write windows (B, C, T) into a signal (C, width), padded by reflection or by zeros."""
-    batch, channels, n_frames = windows.shape
-    signal[:] = 0
-    for c in range(channels):
-        for b in range(batch):
-            row = signal[c, START - PADDING + b * (n_frames + 2 * PADDING) :]
-            for t in range(n_frames):
-                row[PADDING + t] = windows[b, c, t]
-            if reflect:
-                _reflect(row, n_frames)
-
-
-@compiled()
-def unpack(signal: np.ndarray, windows: np.ndarray) -> None:
-    """Write the frames of a signal (C, width) into windows (B, C, T)."""
-    batch, channels, n_frames = windows.shape
-    for c in range(channels):
-        for b in range(batch):
-            row = signal[c, START + b * (n_frames + 2 * PADDING) :]
-            for t in range(n_frames):
-                windows[b, c, t] = row[t]
-
-
-@compiled()
 def reflect_windows(signal: np.ndarray, shape: Shape) -> None:
     """Write the reflected frames of all windows of a signal (C, width)."""
     batch, n_frames = shape

@@ -23,7 +23,7 @@ from gesturekit.multires.motion_vector import fastest_second
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence
 from gesturekit.multires.retrieval import RecordedLibrary
-from gesturekit.multires.stream_window import SpeechStream
+from gesturekit.multires.stream import SpeechStream
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.progress import Progress
