@@ -139,39 +139,32 @@ def module_list(modules: Iterable[Modules]) -> Sequence[Modules]:
     return typed
 
 
-def skeleton_layers(
-    representation: MultiresRepresentation,
-    config: NetworkConfig,
-    *,
-    output: bool,
-    n_concatenated: int,
-) -> Sequence[SkeletonConv1d]:
-    """Return the skeleton convolutions of one level, from motion vectors to hidden features.
-
-    Args:
-        representation: of the motion vectors.
-        config: widths, kernel and neighbours.
-        output: add a last layer, back to motion vectors.
-        n_concatenated: further channels of the input, which the modulated blocks see.
-    """
-    shapes = _shapes(representation, config, output, n_concatenated)
-    return module_list(SkeletonConv1d(*shape, config.kernel) for shape in shapes)
-
-
 def n_weights(
     representation: MultiresRepresentation, config: NetworkConfig, n_condition: int
 ) -> int:
     """Return the number of weights of all generators' skeleton convolutions, without making any."""
     n_concatenated = config.embedding if n_condition and config.film == "concatenate" else 0
-    shapes = _shapes(representation, config, True, n_concatenated)
+    shapes = layer_shapes(representation, config, n_concatenated=n_concatenated)
     connected = sum(np.array(b) @ near @ np.array(a) for near, a, b in shapes)
     return config.levels * config.kernel * int(connected)
 
 
-def _shapes(
-    representation: MultiresRepresentation, config: NetworkConfig, output: bool, n_concatenated: int
+def layer_shapes(
+    representation: MultiresRepresentation,
+    config: NetworkConfig,
+    *,
+    output: bool = True,
+    n_concatenated: int = 0,
 ) -> list[tuple[np.ndarray, tuple[int, ...], tuple[int, ...]]]:
-    """Return each layer's neighbours, and the channels of its input and of its output blocks.
+    """Return neighbours, and channels of input and output blocks, of each layer of one level.
+
+    Layers lead from motion vectors to hidden features.
+
+    Args:
+        representation: of the motion vectors.
+        config: widths and neighbours.
+        output: add a last layer, back to motion vectors.
+        n_concatenated: further channels of the input, which the modulated blocks see.
 
     Raises:
         ConfigError: the dense kernel of a layer would take too much memory.
@@ -264,9 +257,8 @@ class LevelGenerator(nn.Module):
         super().__init__()
         self.concatenates = bool(n_condition) and config.film == "concatenate"
         n_concatenated = config.embedding if self.concatenates else 0
-        self.layers = skeleton_layers(
-            representation, config, output=True, n_concatenated=n_concatenated
-        )
+        shapes = layer_shapes(representation, config, n_concatenated=n_concatenated)
+        self.layers = module_list(SkeletonConv1d(*shape, config.kernel) for shape in shapes)
         self.rectify_embedding, self.residual = config.rectify_embedding, config.residual
         self.embed, self.films = None, module_list(list[Film]())
         if n_condition:
@@ -390,7 +382,8 @@ class LevelDiscriminator(nn.Module):
         self, representation: MultiresRepresentation, config: NetworkConfig, n_styles: int = 0
     ) -> None:
         super().__init__()
-        self.layers = skeleton_layers(representation, config, output=False, n_concatenated=0)
+        shapes = layer_shapes(representation, config, output=False)
+        self.layers = module_list(SkeletonConv1d(*shape, config.kernel) for shape in shapes)
         width = self.layers[-1].shape[0]
         self.score = nn.Conv1d(width, 1, config.kernel)
         if n_styles:

@@ -14,7 +14,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -103,25 +103,12 @@ _FORGETTING = 0.9
 """Decay of the count of uses with each piece."""
 
 
-class _Choice(NamedTuple):
-    """Lengths and weights by which pieces are chosen.
+_WHOLE = 2.0, 0.4, 24.0, 3.0
+_PASSIVE = 4.0, 0.8, 12.0, 40.0
+"""Seconds of a piece and of the cross-fade into it, which belongs to both pieces; and weights of
+mean squared differences, in standard deviations: of states, and of poses in the cross-fade.
 
-    Attributes:
-        seconds: length of a piece.
-        fade: seconds of the cross-fade into a piece, which belong to both.
-        state: weight of the mean squared difference of the states, in standard deviations.
-        continuity: the same of the poses in the cross-fade.
-    """
-
-    seconds: float
-    fade: float
-    state: float
-    continuity: float
-
-
-_WHOLE = _Choice(2.0, 0.4, 24.0, 3.0)
-_PASSIVE = _Choice(4.0, 0.8, 12.0, 40.0)
-"""Fingers have to be as calm as recorded, and hardly to move at given times: each cross-fade adds
+Fingers have to be as calm as recorded, and hardly to move at given times: each cross-fade adds
 movement. Chosen on ZeroEGGS 067, by the quantiles of the fingers' angular speed."""
 
 
@@ -168,10 +155,11 @@ class RecordedLibrary:
     ) -> None:
         self.fps, self.passive, self.recordings = fps, passive, recordings
         self.is_whole = len(recordings[0].motion) > 0
-        self._choice = _WHOLE if self.is_whole else _PASSIVE
+        choice = _WHOLE if self.is_whole else _PASSIVE
+        seconds, fade, self._state, self._continuity = choice
         lengths = [each.state.shape[1] for each in recordings]
-        self.piece = max(1, min(round(self._choice.seconds * fps), max(lengths)))
-        self.fade = min(round(self._choice.fade * fps), self.piece // 2)
+        self.piece = max(1, min(round(seconds * fps), max(lengths)))
+        self.fade = min(round(fade * fps), self.piece // 2)
         self.hop = self.piece - self.fade
         usable = [max(0, n - self.piece + 1) for n in lengths]
         first = np.cumsum([0, *lengths])
@@ -198,7 +186,7 @@ class RecordedLibrary:
         """Return the cost (S,) of each start for a drawn state (C + 1, piece)."""
         rows = (state - self._mean) / self._deviation
         means = np.concatenate([rows[:, a:b].mean(axis=1) for a, b in self._edges])
-        return self._choice.state * np.square(self.states - means).mean(axis=1)
+        return self._state * np.square(self.states - means).mean(axis=1)
 
     def breaks(self, shown: int) -> np.ndarray:
         """Return the cost (S,) of each start for the poses after a frame that is shown."""
@@ -208,7 +196,7 @@ class RecordedLibrary:
         for offset, pose in zip(span, after, strict=True):
             away = (self.played[self.starts + offset] - pose) / self._sizes
             total += np.square(away).mean(axis=1)
-        return self._choice.continuity * total / len(span)
+        return self._continuity * total / len(span)
 
     def allowed(self, speaker: str | None, style: int | None) -> np.ndarray:
         """Return (S,) bool, the starts with this style and speaker, as far as there are any."""

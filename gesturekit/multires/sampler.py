@@ -96,11 +96,11 @@ class Sampler:
             self.clips = InbetweenClips(controls["keep"], representation, fps)
         if controls["path"] is not None:
             path = as_root_path(controls["path"], representation.scale)
-        fit = partial(fit_keyframes, representation, fps=fps, network=network)
-        fit = partial(fit, level=controls["keyframe_level"] - 1)
+        level = controls["keyframe_level"] - 1
         has_length = speech is not None or seconds is not None
         if not has_length and self.start is not None:
-            self.start = self.start if edited is None else fit(self.start, n_frames=None)
+            if edited is not None:
+                self.start = fit_keyframes(model, self.start, level, None)
             seconds = full_frames(self.start, fps) / fps
         elif not has_length and self.clips is not None:
             seconds = self.clips.end / fps
@@ -112,7 +112,7 @@ class Sampler:
         features = self._features(speech, seconds)
         self.n_frames = len(features)
         if edited is not None and self.start is not None and has_length:
-            self.start = fit(self.start, n_frames=self.n_frames)
+            self.start = fit_keyframes(model, self.start, level, self.n_frames)
         # A coarse level is edited frame by frame, so it gets no frames around it.
         generates = self.start is None and not self.is_coarse
         self.margin = network.margin if generates else 0
@@ -235,7 +235,7 @@ class Sampler:
             return self._from_level(pyramid, self.start)
         if self.is_coarse:
             values = pyramid.random(levels=self.controls["levels"])
-            return level_motion(representation, values, model.fps, self.n_frames)
+            return level_motion(model, values, self.n_frames)
         if self.clips is not None:
             values = self._cropped(pyramid.random(constraint=self.between))
             motion = self._smoothed(placed_clips(self.clips, values, representation))
@@ -256,13 +256,13 @@ class Sampler:
         """Generate the levels above keyframes, or above a motion to redo (`like`)."""
         model, level = self.model, self.controls["keyframe_level"] - 1
         representation, lengths = model.representation, self.lengths
-        coarse = motion_level(representation, start, model.fps, lengths, level)
+        coarse = motion_level(model, start, lengths, level)
         edited = np.ones(coarse.shape, bool)
         if start.n_frames == lengths[level]:
             # It may be an edit of what this seed generates.
             made = pyramid.random(levels=level + 1)
-            unedited = level_motion(representation, made, model.fps, lengths[-1])
-            read = motion_level(representation, unedited, model.fps, lengths, level)
+            unedited = level_motion(model, made, lengths[-1])
+            read = motion_level(model, unedited, lengths, level)
             coarse, edited = keep_unedited(coarse, made, read, representation)
         if self.controls["like"] is not None:
             values = pyramid.above(level, coarse)
@@ -277,7 +277,7 @@ class Sampler:
             return locked
         # Foot locking moves the root, so its drift is known only now. Feet are locked again on the
         # path through the keyframes: merely moved along, they slide a fifth faster there.
-        wanted = level_motion(representation, coarse, model.fps, self.n_frames)
+        wanted = level_motion(model, coarse, self.n_frames)
         motion = root_through_keyframes(representation, free, locked, wanted, frames)
         return self._locked(motion, values, given, keep_path=True)
 

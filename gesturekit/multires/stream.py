@@ -35,7 +35,7 @@ from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rota
 from gesturekit.multires.backend import choose_backend
 from gesturekit.multires.controls import MultiresControls
 from gesturekit.multires.keyframes import moved
-from gesturekit.multires.networks import SLOPE, Film
+from gesturekit.multires.networks import SLOPE
 from gesturekit.multires.pyramid import (
     LevelConditions,
     finite,
@@ -282,8 +282,8 @@ class WindowLevels:
                     motion = self._added(level, x, given)
                 else:
                     up = motion @ level.up
-                    motion = self._added(level, up, given)
-                    motion = motion + up if self._is_residual else motion
+                    added = self._added(level, up, given)
+                    motion = added + up if self._is_residual else added
                 motion = motion[:, level.kept]
         assert motion is not None
         return motion
@@ -355,23 +355,14 @@ class _Level:
         of_speech, of_style, of_state = weight.split([n_features, len(style), n_state], dim=1)
         self.embedding = torch.cat([of_speech, of_state], dim=1)
         self.offset = level.embed.bias[:, None] + of_style @ style
-        rows = [rows for film in level.films for rows in _padded(film)]
-        self.gains = torch.cat([gains for gains, _ in rows] or [torch.empty(0, len(self.offset))])
-        self.shifts = torch.cat([shifts for _, shifts in rows] or [torch.empty(0)])[:, None]
-
-
-def _padded(film: Film) -> list[tuple[Tensor, Tensor]]:
-    """Return weights (C, E) and biases (C,) of gain and shift; 1 and 0 where a channel has none."""
-    return [
-        (
-            F.pad(weight[..., 0], (0, 0, 1, 0))[film.index],
-            F.pad(bias, (1, 0))[film.index] + usual,
-        )
-        for (weight, bias), usual in (
-            (film.gain.parameters(), 1.0),
-            (film.shift.parameters(), 0.0),
-        )
-    ]
+        gains, shifts = [torch.empty(0, len(self.offset))], [torch.empty(0)]
+        for film in level.films:
+            for conv, usual in ((film.gain, 1.0), (film.shift, 0.0)):
+                # Channels that are not modulated have a gain of 1 and a shift of 0.
+                weight, bias = conv.parameters()
+                gains.append(F.pad(weight[..., 0], (0, 0, 1, 0))[film.index])
+                shifts.append(F.pad(bias, (1, 0))[film.index] + usual)
+        self.gains, self.shifts = torch.cat(gains), torch.cat(shifts)[:, None]
 
 
 _FURTHEST = 0.1
@@ -627,7 +618,9 @@ class MultiresStream(Resumable):
         """Return the motion vectors (D, N) of the frames that are made with the current one."""
         speech = self._features(window)
         state = self._state.advance(speech, self._predicted(window))
-        self._choose_pieces(speech)
+        if self._pieces is not None and self._pieces.next_frame <= self._steps - 1:
+            known = self._process.with_voice(self._state.coming, speech[self._around :].T)
+            self._pieces.choose(known)
         made = self._levels(speech, state)
         around = made.unfold(1, len(self._kernel), 1)
         vectors = around[..., len(self._kernel) // 2].clone()
@@ -644,12 +637,6 @@ class MultiresStream(Resumable):
         made = [vectors[:, i] for i, vectors in enumerate(self._recent)]
         mean = torch.from_numpy(np.average(made, axis=0, weights=weights).astype(np.float32))
         return finite(self.model.normaliser.to_values(mean[None, :, None])[0])
-
-    def _choose_pieces(self, speech: np.ndarray) -> None:
-        """Choose what is played next if it is due, by features (2 around, S) around now."""
-        if self._pieces is not None and self._pieces.next_frame <= self._steps - 1:
-            known = self._process.with_voice(self._state.coming, speech[self._around :].T)
-            self._pieces.choose(known)
 
     def _predicted(self, window: FeatureWindow) -> Forecast | None:
         """Return predictions of fast and slow movement; None without."""

@@ -129,7 +129,7 @@ class Packing:
     """
 
     def __init__(self, batch: int, n_frames: int) -> None:
-        self.shape = Shape(batch, n_frames)
+        self.shape: Shape = (batch, n_frames)
         self.columns = batch * (n_frames + 2 * PADDING)
         # Kernels write whole lines, and read PADDING columns beyond them.
         self.width = START - PADDING + -(-self.columns // LINE) * LINE + LINE
@@ -146,7 +146,7 @@ class Packing:
     def _frames(self, signal: np.ndarray) -> Tensor:
         """Return the frames of a (C, width) array as a view (B, C, T)."""
         columns = torch.from_numpy(signal)[:, START - PADDING :][:, : self.columns]
-        windows = columns.unflatten(1, (self.shape.batch, -1)).transpose(0, 1)
+        windows = columns.unflatten(1, (self.shape[0], -1)).transpose(0, 1)
         return windows[..., PADDING:-PADDING]
 
     def pack(self, x: Tensor, *, reflect: bool) -> np.ndarray:
@@ -207,7 +207,7 @@ class SparseConv:
         """
         n_made = self.channels[int(reverse)]
         bias = np.zeros(n_made, np.float32) if bias is None else bias
-        rectifier = Rectifier(np.float32(slope), signal[:0] if gate is None else gate)
+        rectifier: Rectifier = (np.float32(slope), signal[:0] if gate is None else gate)
         output = packing.empty(n_made)
         arguments = (signal, weight, bias, output, rectifier, packing.shape, reverse)
         self._run(self.plans[int(reverse)], packing, kernels.convolve, *arguments)
@@ -335,10 +335,8 @@ class DiscriminatorStep:
         self.discriminator, self.style, self.config = discriminator, style, config
         self.real, self.fake, self.mix = real, fake, mix
         self.count, _, self.n_frames = real.shape
-        self.parts = [
-            slice(start, min(start + WINDOWS_PER_TASK, self.count))
-            for start in range(0, self.count, WINDOWS_PER_TASK)
-        ]
+        starts = range(0, self.count, WINDOWS_PER_TASK)
+        self.parts = [slice(start, start + WINDOWS_PER_TASK) for start in starts]
         self.convs = [sparse_conv(layer) for layer in discriminator.layers]
         self.weights = [padded_weight(layer) for layer in discriminator.layers]
         self.slopes = [SLOPE] * len(self.convs)
@@ -375,65 +373,56 @@ class DiscriminatorStep:
         fake, real = np.concatenate([part.scores for part in scored], axis=1).mean(axis=1)
         return torch.tensor(fake - real)
 
-    def _score_weights(self, part: slice) -> np.ndarray:
-        """Return (1 or B, C, T), the score weights of a part's windows."""
-        return self.score_weights if self.style is None else self.score_weights[part]
+    def _passes(
+        self, part: slice, windows: Tensor, score_gradients: np.ndarray
+    ) -> tuple[Packing, list[np.ndarray], list[np.ndarray], np.ndarray]:
+        """Return the layout of windows, the input of each layer and the output of the last one.
+
+        Then the gradient (C, width) of each layer's output, before its rectifier, and the scores
+        without bias. The windows are those of a part, once or twice.
+        """
+        packing, weights = Packing(len(windows), self.n_frames), self.score_weights
+        signals = _signals(self.discriminator.layers, windows, self.slopes, packing)
+        if self.style is not None:
+            weights = np.concatenate([weights[part]] * (len(windows) // len(self.real[part])))
+        gradient = packing.empty(len(signals[-1]))
+        scores = kernels.score(signals[-1], weights, score_gradients, np.float32(SLOPE), gradient)
+        gradients = [gradient]
+        for i in reversed(range(1, len(self.convs))):
+            gradient = self.convs[i].convolve(
+                self.weights[i], gradient, packing, gate=signals[i], slope=SLOPE, reverse=True
+            )
+            gradients.insert(0, gradient)
+        return packing, signals, gradients, scores
 
     def score(self, part: slice) -> Gradients:
         """Return scores and parameter gradients of eq. 12 for a part of the windows."""
-        real, fake = self.real[part], self.fake[part]
-        windows = torch.cat([fake, real])
-        share = self.config.discriminator_scale / self.count
-        score_gradients = np.repeat(np.array([share, -share], dtype=np.float32), len(real))
-        packing = Packing(len(windows), self.n_frames)
-        signals = _signals(self.discriminator.layers, windows, self.slopes, packing)
-        gradient = packing.empty(len(signals[-1]))
-        weights = self._score_weights(part)
-        if len(weights) > 1:
-            weights = np.concatenate([weights, weights])
-        slope = np.float32(SLOPE)
-        scores = kernels.score(signals[-1], weights, score_gradients, slope, gradient)
-        by_weight, by_bias = list[Tensor](), list[np.ndarray]()
-        for i in reversed(range(len(self.convs))):
-            conv, weight = self.convs[i], self.weights[i]
-            by_weight.insert(0, conv.weight_gradient(signals[i], gradient, packing))
-            by_bias.insert(0, gradient.sum(axis=1))
-            if i:
-                gradient = conv.convolve(
-                    weight, gradient, packing, gate=signals[i], slope=SLOPE, reverse=True
-                )
+        windows = torch.cat([self.fake[part], self.real[part]])
+        share, two = self.config.discriminator_scale / self.count, (2, len(windows) // 2)
+        score_gradients = np.repeat(np.array([share, -share], dtype=np.float32), two[1])
+        packing, signals, gradients, scores = self._passes(part, windows, score_gradients)
+        layers = zip(self.convs, signals[:-1], gradients, strict=True)
+        by_weight = [conv.weight_gradient(x, g, packing) for conv, x, g in layers]
+        by_bias = [gradient.sum(axis=1) for gradient in gradients]
         kernel = kernels.score_kernel_gradients(signals[-1], score_gradients, self.tap_frequencies)
-        two = (2, len(real))
-        return Gradients(
-            by_weight, by_bias, kernel.reshape(*two, *kernel.shape[1:]), scores.reshape(two)
-        )
+        kernel = kernel.reshape(*two, *kernel.shape[1:])
+        return Gradients(by_weight, by_bias, kernel, scores.reshape(two))
 
     def penalise(self, part: slice) -> Gradients:
         """Return parameter gradients of eq. 13 (double backward by hand) for a part."""
         windows = torch.lerp(self.real[part], self.fake[part], self.mix[part])
-        packing = Packing(len(windows), self.n_frames)
-        signals = _signals(self.discriminator.layers, windows, self.slopes, packing)
-        gradient = packing.empty(len(signals[-1]))
         ones = np.ones(len(windows), dtype=np.float32)
-        weights = self._score_weights(part)
-        kernels.score(signals[-1], weights, ones, np.float32(SLOPE), gradient)
-        gradients = [gradient]
-        for i in reversed(range(len(self.convs))):
-            gate, slope = (signals[i], SLOPE) if i else (None, 1.0)
-            gradient = self.convs[i].convolve(
-                self.weights[i], gradient, packing, gate=gate, slope=slope, reverse=True
-            )
-            gradients.insert(0, gradient)
+        packing, signals, gradients, _ = self._passes(part, windows, ones)
         # Derivative of the penalty with respect to the input gradient, then forward through the
         # linearised network: each layer's weights meet it in a product with their output gradient.
-        tangent = gradients[0]
+        tangent = self.convs[0].convolve(self.weights[0], gradients[0], packing, reverse=True)
         penalty, penalty_on = self.config.gradient_penalty / self.count, self.config.penalty_on
         scale = self.n_frames ** {"window": 0.5, "frame": 1.0, "printed": 0.0}[penalty_on]
         kernels.penalty_gradient(tangent, packing.shape, penalty, penalty_on == "frame", scale)
         kernels.reflect_windows(tangent, packing.shape)
         by_weight = []
         for i, conv in enumerate(self.convs):
-            by_weight.append(conv.weight_gradient(tangent, gradients[i + 1], packing))
+            by_weight.append(conv.weight_gradient(tangent, gradients[i], packing))
             tangent = conv.convolve(
                 self.weights[i], tangent, packing, gate=signals[i + 1], slope=SLOPE
             )

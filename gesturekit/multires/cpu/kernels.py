@@ -44,28 +44,11 @@ class Plan(NamedTuple):
     inputs: np.ndarray
 
 
-class Shape(NamedTuple):
-    """Number and length of the packed windows.
-
-    Attributes:
-        batch: B, number of windows.
-        n_frames: T, frames of each.
-    """
-
-    batch: int
-    n_frames: int
-
-
-class Rectifier(NamedTuple):
-    """Leaky rectifier after a convolution.
-
-    Attributes:
-        slope: of negative values; 1 for none.
-        gate: (C, width), scale by the slope where it is not above 0; (0, width) to use the output.
-    """
-
-    slope: float | np.floating
-    gate: np.ndarray
+Shape = tuple[int, int]
+"""Number of the packed windows, and frames of each."""
+Rectifier = tuple[np.floating, np.ndarray]
+"""Leaky rectifier after a convolution: slope of negative values, 1 for none, and array (C, width)
+by which it scales where that is not above 0; (0, width) for the output itself."""
 
 
 @compiled()

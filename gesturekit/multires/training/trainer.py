@@ -40,7 +40,13 @@ from gesturekit.multires.training.loading import (
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.result import live_predictions, trained_model
 from gesturekit.multires.training.state import TrainingState
-from gesturekit.multires.training.targets import MOST_WINDOWS, level_targets
+from gesturekit.multires.training.targets import (
+    MOST_WINDOWS,
+    DetailTarget,
+    LevelTargets,
+    StateTarget,
+    arm_target,
+)
 from gesturekit.multires.training.windows import Batches, Windows, usage
 from gesturekit.state.live import AheadPrediction
 from gesturekit.training.model_folder import TrainedModel
@@ -195,18 +201,15 @@ class Trainer(BaseTrainer):
         assert isinstance(model, MultiresModel)
         if (process := model.state_process) is not None:
             if self._live is None:
-                self._live = self._live_predictions(model)
+                try:
+                    self._live = live_predictions(model, self.config.corpus)
+                except (GestureKitError, af.AudioFeaturesError) as error:
+                    # A trained model is worth more than its use for live speech.
+                    self._live = ()
+                    what = "The model cannot stream, without predictions for live speech"
+                    log.warning("%s: %s", what, error)
             model = replace(model, state_process=replace(process, ahead=self._live))
         super().write(name, model, rows)
-
-    def _live_predictions(self, model: MultiresModel) -> tuple[AheadPrediction, ...]:
-        """Return predictions for live speech, and none with a warning if they cannot be fitted."""
-        try:
-            return live_predictions(model, self.config.corpus)
-        except (GestureKitError, af.AudioFeaturesError) as error:
-            # A trained model is worth more than its use for live speech.
-            log.warning("The model cannot stream, without predictions for live speech: %s", error)
-            return ()
 
     def _calibrated(self, model: MultiresModel) -> MultiresModel:
         """Return a model with a state of movement that its network shows as it is drawn."""
@@ -295,9 +298,25 @@ class Stage:
         self.normaliser = data.normaliser.to(self.device)
         arms = config.uses_arm_speed
         self.kinematics = VectorKinematics(data.representation, config.fps, arms).to(self.device)
-        self.targets = level_targets(
-            data, config, self.indices, self.kinematics, state, self.device
-        )
+        self.targets = [self._level_targets(i, data, state) for i in self.indices]
+
+    def _level_targets(
+        self, i: int, data: TrainingData, state: TrainingState | None
+    ) -> LevelTargets:
+        """Return the targets of a level, fitted to the recordings."""
+        config, arms, detail, shown = self.config, None, None, None
+
+        def places(motion: Tensor) -> Tensor:
+            return self.kinematics.places(self.normaliser.inverse(motion.to(self.device)))
+
+        if config.uses_arm_speed:
+            arms = arm_target(data.sample, i, self.normaliser, self.kinematics)
+        if config.losses.detail and i:  # the first level has no coarser one
+            styles = max(1, len(data.conditions.styles))
+            detail = DetailTarget(data.sample, i, places, data.window, styles).to(self.device)
+        if config.losses.state and state is not None:
+            shown = StateTarget(state, i, places).to(self.device)
+        return LevelTargets(arms, detail, shown)
 
     def state(self) -> dict[str, Any]:
         """Return what a checkpoint holds."""

@@ -86,20 +86,14 @@ class Batches:
         state: TrainingState | None = None,
     ) -> None:
         self.data, self.config, self.network, self.state = data, config, network, state
-        self.first = first
-        self.convolve = convolve
+        self.first, self.convolve = first, convolve
         self.device = next(network.parameters()).device
         self.noise = random_noise(data, config, config.network.levels)
         self.size = config.windows_per_step
-        self.sequences = {
-            n_frames: [data.paired[i] for i in members]
-            for n_frames, members in data.window_lengths().items()
-        }
+        groups = data.window_lengths()
+        self.sequences = {n: [data.paired[i] for i in group] for n, group in groups.items()}
         # A length is drawn as often as the recordings or clips that have it.
-        self._recorded = {
-            n_frames: sum(map(data.draw_weight, members))
-            for n_frames, members in self.sequences.items()
-        }
+        self._recorded = {n: sum(map(data.draw_weight, own)) for n, own in self.sequences.items()}
         self._spoken = Counter(clip.shape[-1] for clip in data.unpaired)
         self._cached: dict[str, dict[int, Windows]] = {}
 
@@ -111,10 +105,8 @@ class Batches:
         self._cached = {}
         # The word is part of the seed.
         rng = rng_for(self.config.seed, "bank", self.first, iteration // training.renew_every)
-        shares = {
-            n_frames: max(1, training.window_cache * len(members) // len(self.data.paired))
-            for n_frames, members in self.sequences.items()
-        }
+        size, total = training.window_cache, len(self.data.paired)
+        shares = {n: max(1, size * len(own) // total) for n, own in self.sequences.items()}
         counts = {"paired": shares} if training.reconstruction_steps else {}
         if training.discriminator_steps or training.generator_steps:
             counts["random"] = shares
@@ -218,18 +210,17 @@ class Batches:
         else:
             pairs = zip(sequences, starts, strict=True)
             chosen = [(sequence, start) for sequence, n in pairs for start in range(n)]
+        parts = [(s, slice(start, start + n_frames)) for s, start in chosen]
         state = None
         if self.state is not None:
-            state = np.stack(
-                [self.state.recorded(s)[:, start : start + n_frames] for s, start in chosen]
-            )
+            state = np.stack([self.state.recorded(s)[:, frames] for s, frames in parts])
         z_star = torch.stack([s.z_star_window(start, lengths[0]) for s, start in chosen])
         return self._windows(
-            torch.stack([s.speech[:, start : start + n_frames] for s, start in chosen]),
+            torch.stack([s.speech[:, frames] for s, frames in parts]),
             torch.tensor([[s.style] * len(lengths) for s, _ in chosen]),
             [z_star, *[None] * (len(lengths) - 1)],
             state,
-            torch.stack([s.motion[:, start : start + n_frames] for s, start in chosen]),
+            torch.stack([s.motion[:, frames] for s, frames in parts]),
         )
 
     def recorded(
@@ -311,13 +302,9 @@ class Batches:
         made, size = [], self.config.training.batch
         for start in range(0, len(conditions[0]), size):
             batch = slice(start, start + size)
-            levels = self.network(
-                [None if noise is None else noise[batch] for noise in noises],
-                [level[batch] for level in conditions],
-                lengths=lengths,
-                convolve=self.convolve,
-            )
-            made.append(levels[-1])
+            some = [None if noise is None else noise[batch] for noise in noises]
+            given = [level[batch] for level in conditions]
+            made.append(self.network(some, given, lengths=lengths, convolve=self.convolve)[-1])
         return torch.cat(made)
 
 
