@@ -305,12 +305,11 @@ class MultiresModel(TrainedModel):
         dtype: torch.dtype,
     ) -> dict[str, Any]:
         """Return the fields of a folder that are a multires model's own; see `load`."""
-        config, tensors = parts.config, parts.tensors
+        config, tensors, features = parts.config, parts.tensors, parts.config["features"]
         where, fps = str(parts.folder / "config.yaml"), float(config["fps"])
         network_config = build(NetworkConfig, config["network"], where=where)
-        skeleton = Skeleton.from_json(parts.rig["skeleton"])
+        skeleton, conditioner = Skeleton.from_json(parts.rig["skeleton"]), None
         representation = MultiresRepresentation.from_json(skeleton, parts.rig["motion"])
-        features, conditioner = config["features"], None
         if features is not None:
             conditioner = load_conditioner(features, tensors, fps, weights, str(device))
         n_speech = 0 if conditioner is None else conditioner.dim
@@ -324,13 +323,11 @@ class MultiresModel(TrainedModel):
         )
         trained = parts.tensors_under("network.")
         network = load_generator(representation, conditions.width, network_config, trained)
+        recorded = config["sequences"].items()
         noise = TrainedNoise(
             sigma=tensors["sigma"],
             z_star=parts.tensors_under("z_star."),
-            sequences={
-                name: build(TrainedSequence, values, where=where)
-                for name, values in config["sequences"].items()
-            },
+            sequences={name: build(TrainedSequence, own, where=where) for name, own in recorded},
             z_star_shuffle=int(config["z_star_shuffle"]),
             noise_levels=int(config["noise_levels"]),
         )

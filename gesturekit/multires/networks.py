@@ -15,8 +15,9 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
@@ -433,17 +434,17 @@ def tap_frequencies(n_frames: int, kernel: int) -> Tensor:
     return windows.sum(dim=1).T.contiguous() / n_frames
 
 
+@dataclass(frozen=True)
 class TorchBackend:
     """Dense convolutions and autograd: the definition of what every backend computes.
 
-    Args:
+    Attributes:
         reason: why this backend was chosen, for the log.
     """
 
-    name = "torch"
+    name: ClassVar[str] = "torch"
 
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
+    reason: str
 
     def convolve(
         self, layers: Sequence[SkeletonConv1d], x: Tensor, slope: float, last_slope: float

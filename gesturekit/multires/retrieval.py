@@ -239,6 +239,9 @@ class PieceSequence(Resumable):
         rng_of: random generator of a piece, by its number; -1 for where the first one begins.
         speaker: use only this speaker's recordings, if there are any; None for all.
         style: number of the style of each frame, by its number; None for any.
+
+    Attributes:
+        is_whole: True if whole bodies are played.
     """
 
     kept = ("_chosen", "_used")
@@ -250,7 +253,7 @@ class PieceSequence(Resumable):
         speaker: str | None,
         style: Callable[[int], int] | None,
     ) -> None:
-        self._library, self._rng_of = library, rng_of
+        self._library, self._rng_of, self.is_whole = library, rng_of, library.is_whole
         self._speaker, self._style = speaker, style
         # Pieces meet elsewhere with every seed, so that other ones are chosen.
         self._first = int(torch.randint(library.hop, (), generator=rng_of(-1)))

@@ -244,7 +244,7 @@ class Sampler:
             values = self._cropped(self.along.placed(pyramid.random(constraint=self.along)))
             motion = moved(representation, self._decoded(values), self.path.positions[0])
             return self._locked(self._smoothed(motion), values, keep_path=True)
-        if model.retrieves and played is not None:
+        if played is not None and played.is_whole:
             vectors = played.values(np.arange(self.lengths[-1]))[:, : representation.n_features]
             values = model.normaliser.to_values(torch.from_numpy(vectors.T[None]))
         else:

@@ -278,29 +278,23 @@ class WindowLevels:
                 given = torch.cat([features @ level.features, channels @ level.means, clocked])
                 if motion is None:
                     noise = self._sigma * mixed_carriers(clocked[None])[0]
-                    x = noise.expand(level.layers[-1].shape[0], -1)
-                    motion = self._added(level, x, given)
+                    x = up = noise.expand(level.layers[-1].shape[0], -1)
                 else:
-                    up = motion @ level.up
-                    added = self._added(level, up, given)
-                    motion = added + up if self._is_residual else added
-                motion = motion[:, level.kept]
+                    x = up = motion @ level.up
+                y = level.embedding @ given + level.offset
+                y = F.leaky_relu(y, SLOPE) if level.rectified else y
+                x = torch.cat([x, y]) if level.concatenates else x
+                films = torch.addmm(level.shifts, level.gains, y)
+                for i, layer in enumerate(level.layers):
+                    if len(films):
+                        gain, shift, films = films.split([len(x), len(x), len(films) - 2 * len(x)])
+                        x = torch.addcmul(shift, x, gain)
+                    slope = 1.0 if i == len(level.layers) - 1 else SLOPE
+                    x = self._backend.convolve([layer], x[None], slope, slope)[0]
+                is_residual = self._is_residual and motion is not None
+                motion = (x + up if is_residual else x)[:, level.kept]
         assert motion is not None
         return motion
-
-    def _added(self, level: _Level, x: Tensor, given: Tensor) -> Tensor:
-        """Return the detail (D, T) that a level adds to x (D, T), from its condition."""
-        y = level.embedding @ given + level.offset
-        y = F.leaky_relu(y, SLOPE) if level.rectified else y
-        x = torch.cat([x, y]) if level.concatenates else x
-        films = torch.addmm(level.shifts, level.gains, y)
-        for i, layer in enumerate(level.layers):
-            if len(films):
-                gain, shift, films = films.split([len(x), len(x), len(films) - 2 * len(x)])
-                x = torch.addcmul(shift, x, gain)
-            slope = 1.0 if i == len(level.layers) - 1 else SLOPE
-            x = self._backend.convolve([layer], x[None], slope, slope)[0]
-        return x
 
 
 class _Level:

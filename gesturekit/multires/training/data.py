@@ -230,19 +230,6 @@ def paired_sequences(
     )
 
 
-def trained_conditions(
-    config: MultiresConfig,
-    representation: MultiresRepresentation,
-    conditioner: SpeechConditioner | None,
-    styles: Sequence[str],
-) -> Conditions:
-    """Return the inputs of a run's model beside noise."""
-    state = None
-    if config.state:
-        state = StateChannels.find(representation.skeleton, representation.joints)
-    return Conditions(conditioner, tuple(styles), config.residual, state)
-
-
 def transposed(rows: np.ndarray) -> Tensor:
     """Return (T, C) as a contiguous (C, T) tensor."""
     return torch.from_numpy(np.ascontiguousarray(rows.T))
@@ -372,15 +359,16 @@ class TrainingData:
                 find = ArrayFolder(config.arrays_folder).find_all
                 arrays = {name: find(keys) for name, keys in about["stored"].items()}
                 frames = CorpusFrames.of(arrays, normaliser, conditioner)
-            joints, face = about["passive"]
-            sampled = about["sampled"]
+            known, (joints, face), sampled = about["styles"], about["passive"], about["sampled"]
+            find = StateChannels.find
+            state = find(skeleton, representation.joints) if config.state else None
             return cls(
                 paired=paired_sequences(config, labels, frames, list(tensors["sigma"])),
                 unpaired=tuple(frames.unpaired or frames.speech),
                 silence=tensors["silence"],
                 window=about["window"],
                 representation=representation,
-                conditions=trained_conditions(config, representation, conditioner, about["styles"]),
+                conditions=Conditions(conditioner, tuple(known), config.residual, state),
                 normaliser=normaliser,
                 speakers=read_speakers(about),
                 sources=from_values(about["sources"]),

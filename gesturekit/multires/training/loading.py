@@ -27,6 +27,7 @@ from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.networks import modulated_blocks
+from gesturekit.multires.pyramid import Conditions
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.multires.training.data import (
     CorpusFrames,
@@ -34,9 +35,9 @@ from gesturekit.multires.training.data import (
     TrainingData,
     level_sigmas,
     paired_sequences,
-    trained_conditions,
     transposed,
 )
+from gesturekit.state.channels import StateChannels
 from gesturekit.training.arrays import Array, ArrayInMemory, Maker, stored_arrays
 from gesturekit.training.config import to_dict
 from gesturekit.training.features import SpeechArrays, conditioner_values, feature_values
@@ -63,16 +64,16 @@ def load_training_data(
     """
     requested_backend(config.backend)  # a wrong one is refused before the run folder is made
     # Wrong extractor settings are reported before any file is read.
-    speech = None
-    if config.features is not None:
-        speech = SpeechArrays.open(config.features, config.fps, device)
+    features, state, passive = config.features, None, PassiveChannels()
+    speech = None if features is None else SpeechArrays.open(features, config.fps, device)
     start = load_start(config, speech)
     parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
     recordings = read_recordings(config, start, parts, trial=trial)
     motions = [motion.resample(config.fps) for motion in recordings.motions]
     representation = _representation(config, motions, start)
-    find = PassiveChannels.find
-    passive = find(motions, representation.joints) if config.state else PassiveChannels()
+    if config.state:
+        state = StateChannels.find(representation.skeleton, representation.joints)
+        passive = PassiveChannels.find(motions, representation.joints)
     rig = recordings.rig(config, parts)
     maker = MotionArrays(rig, representation, passive, config.fps, config.face_forward)
     made = [maker.encode(*pair) for pair in zip(recordings.read, motions, strict=True)]
@@ -98,7 +99,7 @@ def load_training_data(
         silence=_silence(config, frames, conditioner),
         window=_window(config),
         representation=representation,
-        conditions=trained_conditions(config, representation, conditioner, recordings.styles),
+        conditions=Conditions(conditioner, tuple(recordings.styles), config.residual, state),
         normaliser=normaliser,
         speakers=recordings.speakers,
         sources=recordings.sources([array.facts["fps"] for array in arrays["motion"]]),

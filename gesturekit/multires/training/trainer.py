@@ -108,13 +108,11 @@ class Trainer(BaseTrainer):
 
     def stages(self) -> list[tuple[int, int]]:
         """Return (first level, iterations) of each stage."""
-        training, levels = self.config.training, self.config.network.levels
+        training = self.config.training
         first = self.config.lengthened(training.first_stage)
         further = self.config.lengthened(training.further_stages)
-        return [
-            (level, further if level else first)
-            for level in range(0, levels, training.stage_levels)
-        ]
+        levels = range(0, self.config.network.levels, training.stage_levels)
+        return [(level, further if level else first) for level in levels]
 
     def stage(self, first: int, iterations: int) -> Stage:
         """Return the stage that begins with this level, its discriminators untrained."""

@@ -268,9 +268,8 @@ class Batches:
         `speech` is (N, S, T), `styles` (N, L), each of `noises` (N, 1 or D, T_i) unless `state`
         (N, C, T) makes it, `motion` (N, D, T) for reconstruction.
         """
-        config, to, first = self.config, self.device, self.first
-        lengths = config.network.lengths(speech.shape[-1])
-        given = self.data.conditions
+        config, to, first, coarser = self.config, self.device, self.first, None
+        lengths, given = config.network.lengths(speech.shape[-1]), self.data.conditions
         conditions = [level.to(to) for level in given.of_batch(speech, lengths, styles, state)]
         if state is not None:
             noises = self.noise.clocked(state, given.n_carriers, lengths)
@@ -278,34 +277,28 @@ class Batches:
         stage = slice(first, first + config.training.stage_levels)
         asks_arms = motion is None and config.uses_arm_speed
         targets = () if motion is None else [resample(motion.to(to), n) for n in lengths[stage]]
+        if first and motion is not None and config.losses.rec_input == "real":  # eq. 15 as printed
+            coarser = resample(motion.to(to), lengths[first - 1])
+        elif first:
+            made, size = [], config.training.batch
+            for start in range(0, len(styles), size):
+                batch = slice(start, start + size)
+                levels = self.network(
+                    [None if noise is None else noise[batch] for noise in noises[:first]],
+                    [level[batch] for level in conditions[:first]],
+                    lengths=lengths[:first],
+                    convolve=self.convolve,
+                )
+                made.append(levels[-1])
+            coarser = torch.cat(made)
         return Windows(
-            self._coarser(noises[:first], conditions[:first], lengths[:first], motion),
+            coarser,
             tuple(noises[stage]),
             tuple(conditions[stage]),
             tuple(resample(speech.to(to), n) for n in lengths[stage]) if asks_arms else (),
             tuple(targets),
             styles.to(to),
         )
-
-    def _coarser(
-        self,
-        noises: Sequence[Tensor | None],
-        conditions: Sequence[Tensor],
-        lengths: Sequence[int],
-        motion: Tensor | None,
-    ) -> Tensor | None:
-        """Return the output of the last of the coarser levels, or the recording there (eq. 15)."""
-        if not lengths:
-            return None
-        if motion is not None and self.config.losses.rec_input == "real":
-            return resample(motion.to(self.device), lengths[-1])
-        made, size = [], self.config.training.batch
-        for start in range(0, len(conditions[0]), size):
-            batch = slice(start, start + size)
-            some = [None if noise is None else noise[batch] for noise in noises]
-            given = [level[batch] for level in conditions]
-            made.append(self.network(some, given, lengths=lengths, convolve=self.convolve)[-1])
-        return torch.cat(made)
 
 
 def random_noise(data: TrainingData, config: MultiresConfig, levels: int) -> RandomNoise:
