@@ -499,47 +499,39 @@ class Pyramid:
     rng_of: Callable[[int], torch.Generator]
 
     def random(
-        self, *, levels: int | None = None, constraint: Constraint | None = None
+        self,
+        *,
+        levels: int | None = None,
+        coarser: np.ndarray | None = None,
+        first: int = 0,
+        constraint: Constraint | None = None,
     ) -> np.ndarray:
-        """Return the output (T_i, D) of the first `levels` levels, all by default.
-
-        Raises:
-            ModelError: the output is not finite.
-        """
-        lengths, given = self.lengths[:levels], self.condition
-        noise = self.model.noise.random(self.model.styles)
-        if given is not None and given.state is not None:
-            noises = noise.clocked(given.state[None], given.n_carriers, lengths)
-        else:
-            noises = noise.gaussian(lengths, self.rng_of)
-            styles = [0] * lengths[0]
-            if given is not None and given.styles:
-                styles = given.styles[0][0].argmax(dim=0).tolist()
-            noises[0] = noise.shuffled(noises[0], [styles], self.rng_of(0))
-        return generated(self.model, noises, lengths, given, constraint=constraint)
-
-    def above(
-        self, level: int, values: np.ndarray, constraint: Constraint | None = None
-    ) -> np.ndarray:
-        """Return the output (T, D) of the finer levels, given that of a level.
+        """Return the output (T, D) of the first `levels` levels, all by default.
 
         Args:
-            level: index of the level that is given.
-            values: (T_i, D) in their own units; returned if the level is the finest.
-            constraint: applied to the output of each finer level.
+            levels: their number.
+            coarser: (T_i, D) output of the level before `first`, in its own units, with which to
+                begin; returned if there are no finer levels.
+            first: index of the first level that is generated.
+            constraint: applied to the output of each level.
 
         Raises:
             ModelError: the output is not finite.
         """
-        first, lengths = level + 1, self.lengths[level + 1 :]
-        noises: list[Tensor | None] = [None] * len(lengths)
-        if self.condition is None or self.condition.state is None:
-            noise = self.model.noise.random(self.model.styles)
+        lengths, given = self.lengths[first:levels], self.condition
+        noise = self.model.noise.random(self.model.styles)
+        if given is not None and given.state is not None:
+            noises = noise.clocked(given.state[None], given.n_carriers, self.lengths)[first:levels]
+        else:
             noises = noise.gaussian(lengths, self.rng_of, first=first)
-        about = {"first": first, "coarser": self.model.normaliser.from_values(values)}
-        return generated(
-            self.model, noises, lengths, self.condition, constraint=constraint, **about
-        )
+            if not first:
+                styles = [0] * lengths[0]
+                if given is not None and given.styles:
+                    styles = given.styles[0][0].argmax(dim=0).tolist()
+                noises[0] = noise.shuffled(noises[0], [styles], self.rng_of(0))
+        below = None if coarser is None else self.model.normaliser.from_values(coarser)
+        about = {"first": first, "coarser": below, "constraint": constraint}
+        return generated(self.model, noises, lengths, given, **about)
 
 
 def generated(

@@ -265,10 +265,10 @@ class Sampler:
             read = motion_level(model, unedited, lengths, level)
             coarse, edited = keep_unedited(coarse, made, read, representation)
         if self.controls["like"] is not None:
-            values = pyramid.above(level, coarse)
+            values = pyramid.random(coarser=coarse, first=level + 1)
             return self._locked(self._smoothed(self._decoded(values)), values)
         constraint = KeyframeConstraint(coarse, edited, representation, model.normaliser)
-        values = pyramid.above(level, coarse, constraint)
+        values = pyramid.random(coarser=coarse, first=level + 1, constraint=constraint)
         given = constraint.edited_feet(self.n_frames)
         free = self._smoothed(self._decoded(values))
         locked = self._locked(free, values, given)

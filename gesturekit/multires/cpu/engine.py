@@ -143,23 +143,23 @@ class Packing:
         """Return an uninitialised (channels, width) array, aligned as torch aligns it."""
         return torch.empty(channels, self.width).numpy()
 
-    def _frames(self, signal: np.ndarray) -> Tensor:
+    def _frames(self, signal: np.ndarray) -> np.ndarray:
         """Return the frames of a (C, width) array as a view (B, C, T)."""
-        columns = torch.from_numpy(signal)[:, START - PADDING :][:, : self.columns]
-        windows = columns.unflatten(1, (self.shape[0], -1)).transpose(0, 1)
-        return windows[..., PADDING:-PADDING]
+        columns = signal[:, START - PADDING : START - PADDING + self.columns]
+        windows = columns.reshape(len(signal), self.shape[0], -1)
+        return windows[..., PADDING:-PADDING].transpose(1, 0, 2)
 
     def pack(self, x: Tensor, *, reflect: bool) -> np.ndarray:
         """Return windows (B, C, T) as (C, width), padded by reflection or by zeros."""
         signal = torch.zeros(x.shape[1], self.width).numpy()
-        self._frames(signal).copy_(x)
+        self._frames(signal)[:] = x.numpy()
         if reflect:
             kernels.reflect_windows(signal, self.shape)
         return signal
 
     def unpack(self, signal: np.ndarray) -> Tensor:
         """Return the frames of a (C, width) array as (B, C, T)."""
-        return self._frames(signal).contiguous()
+        return torch.from_numpy(np.ascontiguousarray(self._frames(signal)))
 
 
 class SparseConv:
