@@ -19,7 +19,7 @@ from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.kinematics import measured_state
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
 from gesturekit.multires.networks import MultiresGenerator, load_generator
 from gesturekit.multires.pyramid import (
@@ -86,13 +86,11 @@ class MultiresModel(TrainedModel):
         """Predictions for live speech; empty for a model that cannot stream."""
         return () if self.state_process is None else self.state_process.ahead
 
-    @torch.no_grad()
     def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
         """Return the state of movement (C, T) of motion vectors (T, D), in their own units."""
         assert self.state_process is not None
-        values = torch.from_numpy(vectors.T[None]).float()
-        places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
-        return self.state_process.channels(places, self.fps)[0].double().numpy()
+        channels = self.state_process.channels
+        return measured_state(vectors, self.representation, channels, self.fps)
 
     @document_controls(MultiresControls)
     @gesturekit_errors()

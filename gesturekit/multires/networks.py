@@ -16,7 +16,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -475,36 +475,27 @@ class TorchBackend:
         Returns:
             (levels,) values of eq. 12, without weights.
         """
-        return torch.stack(
-            [
-                self._level_gradients(*level, config)
-                for level in zip(discriminators, reals, fakes, mixes, styles, strict=True)
-            ]
-        )
+        gaps = []
+        levels = zip(discriminators, reals, fakes, mixes, styles, strict=True)
+        for discriminator, real, fake, mix, style in levels:
+            score = partial(self._scores, discriminator, style)
+            gap = losses.discriminator_gap(*score(torch.cat([fake, real])).split(len(real)))
+            penalty = losses.gradient_penalty(score, real, fake, mix, config.penalty_on)
+            loss = config.discriminator_scale * gap + config.gradient_penalty * penalty
+            parameters = list(discriminator.parameters())
+            gradients = torch.autograd.grad(loss, parameters)
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = gradient
+            gaps.append(gap.detach())
+        return torch.stack(gaps)
 
-    def _level_gradients(
-        self,
-        discriminator: LevelDiscriminator,
-        real: Tensor,
-        fake: Tensor,
-        mix: Tensor,
-        style: Tensor | None,
-        config: LossConfig,
+    def _scores(
+        self, discriminator: LevelDiscriminator, style: Tensor | None, motions: Tensor
     ) -> Tensor:
-        def score(motions: Tensor) -> Tensor:
-            repeats = len(motions) // len(real)
-            repeated = None if style is None else torch.cat([style] * repeats)
-            return discriminator(motions, repeated, self.convolve)
-
-        gap = losses.discriminator_gap(*score(torch.cat([fake, real])).split(len(real)))
-        penalty = losses.gradient_penalty(score, real, fake, mix, config.penalty_on)
-        loss = config.discriminator_scale * gap + config.gradient_penalty * penalty
-        parameters = list(discriminator.parameters())
-        for parameter, gradient in zip(
-            parameters, torch.autograd.grad(loss, parameters), strict=True
-        ):
-            parameter.grad = gradient
-        return gap.detach()
+        """Return the scores of motions, which are as many as the styles (B, K) or twice as many."""
+        if style is not None:
+            style = torch.cat([style] * (len(motions) // len(style)))
+        return discriminator(motions, style, self.convolve)
 
     def run_tasks(self, *tasks: Callable[[], T]) -> list[T]:
         """Run independent tasks and return their results."""

@@ -66,13 +66,13 @@ class PassiveChannels:
         recorded = {face.names if face and face.origin == "recorded" else () for face in faces}
         return cls(tuple(moving), recorded.pop() if len(recorded) == 1 else ())
 
-    def encode(self, motion: Motion) -> Tensor:
-        """Return (6 F + E, T) float32 rotations and face channels."""
+    def encode(self, motion: Motion) -> np.ndarray:
+        """Return (T, 6 F + E) float32 rotations and face channels."""
         index = [motion.skeleton.index(name) for name in self.joints]
         rows = sixd_from_quaternion(motion.rotations[:, index]).reshape(motion.n_frames, -1)
         if self.face and motion.face is not None:
             rows = np.concatenate([rows, motion.face.values], axis=1)
-        return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
+        return rows.astype(np.float32)
 
     def applied(self, motion: Motion, values: Callable[[slice], np.ndarray]) -> Motion:
         """Return the motion (T frames) with these channels.
@@ -156,7 +156,7 @@ class RecordedLibrary:
         self.fps, self.passive, self.recordings = fps, passive, recordings
         self.is_whole = len(recordings[0].motion) > 0
         choice = _WHOLE if self.is_whole else _PASSIVE
-        seconds, fade, self._state, self._continuity = choice
+        seconds, fade, self._state_weight, self._break_weight = choice
         lengths = [each.state.shape[1] for each in recordings]
         self.piece = max(1, min(round(seconds * fps), max(lengths)))
         self.fade = min(round(fade * fps), self.piece // 2)
@@ -186,7 +186,7 @@ class RecordedLibrary:
         """Return the cost (S,) of each start for a drawn state (C + 1, piece)."""
         rows = (state - self._mean) / self._deviation
         means = np.concatenate([rows[:, a:b].mean(axis=1) for a, b in self._edges])
-        return self._state * np.square(self.states - means).mean(axis=1)
+        return self._state_weight * np.square(self.states - means).mean(axis=1)
 
     def breaks(self, shown: int) -> np.ndarray:
         """Return the cost (S,) of each start for the poses after a frame that is shown."""
@@ -196,7 +196,7 @@ class RecordedLibrary:
         for offset, pose in zip(span, after, strict=True):
             away = (self.played[self.starts + offset] - pose) / self._sizes
             total += np.square(away).mean(axis=1)
-        return self._continuity * total / len(span)
+        return self._break_weight * total / len(span)
 
     def allowed(self, speaker: str | None, style: int | None) -> np.ndarray:
         """Return (S,) bool, the starts with this style and speaker, as far as there are any."""
@@ -216,19 +216,18 @@ class Resumable:
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs, as numbers and arrays."""
-        values = {name: getattr(self, name) for name in self.kept}
-        return {
-            name: value.state() if hasattr(value, "restore") else copy.deepcopy(value)
-            for name, value in values.items()
-        }
+        parts = {name: getattr(self, name) for name in self.kept}
+        return copy.deepcopy(
+            {name: p.state() if hasattr(p, "restore") else p for name, p in parts.items()}
+        )
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from the `state` of one with the same arguments."""
-        for name in self.kept:
+        for name, value in copy.deepcopy(dict(state)).items():
             if hasattr(part := getattr(self, name), "restore"):
-                part.restore(copy.deepcopy(state[name]))
+                part.restore(value)
             else:
-                setattr(self, name, copy.deepcopy(state[name]))
+                setattr(self, name, value)
 
 
 class PieceSequence(Resumable):

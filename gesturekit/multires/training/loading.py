@@ -224,7 +224,7 @@ class MotionArrays:
             vectors = self.representation.encode(motion, turn=turn)
         except ValueError as error:
             raise CorpusError(f"{self.rig.corpus}: item {item.id}: {error}") from None
-        return np.concatenate([vectors, self.passive.encode(motion).numpy().T], axis=1)
+        return np.concatenate([vectors, self.passive.encode(motion)], axis=1)
 
 
 def _arrays(

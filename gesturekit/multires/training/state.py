@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.kinematics import VectorKinematics, measured_state
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.pyramid import Pyramid, style_levels
 from gesturekit.multires.retrieval import RecordedLibrary, RecordedMotion
@@ -174,7 +174,7 @@ class TrainingState:
             styles = style_levels(numbers, len(model.styles), lengths)
         condition = model.conditions.of_motion(speech.T, lengths, styles, (), state)
         pyramid = Pyramid(model, lengths, condition, partial(rng_for, self.config.seed))
-        return model._measured_state(pyramid.random())
+        return measured_state(pyramid.random(), model.representation, self._channels, model.fps)
 
     @torch.no_grad()
     def _measured(self, sequence: PairedSequence) -> np.ndarray:
