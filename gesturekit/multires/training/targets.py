@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -274,15 +273,6 @@ def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
     away = x - x.mean(axis=1, keepdims=True)
     slope = (away * y).mean(axis=1) / np.maximum(np.square(away).mean(axis=1), 1e-9)
     return np.stack([slope, mean - slope * x.mean(axis=1), np.maximum(y.std(axis=1), 1e-3)])
-
-
-@dataclass(frozen=True)
-class LevelTargets:
-    """Targets of one level; None for a loss that it does not have."""
-
-    arms: ArmTarget | None
-    detail: DetailTarget | None
-    state: StateTarget | None
 
 
 def arm_target(

@@ -42,8 +42,8 @@ from gesturekit.multires.training.result import live_predictions, trained_model
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.targets import (
     MOST_WINDOWS,
+    ArmTarget,
     DetailTarget,
-    LevelTargets,
     StateTarget,
     arm_target,
 )
@@ -296,25 +296,27 @@ class Stage:
         self.normaliser = data.normaliser.to(self.device)
         arms = config.uses_arm_speed
         self.kinematics = VectorKinematics(data.representation, config.fps, arms).to(self.device)
-        self.targets = [self._level_targets(i, data, state) for i in self.indices]
+        self._fit_targets(data, state)
 
-    def _level_targets(
-        self, i: int, data: TrainingData, state: TrainingState | None
-    ) -> LevelTargets:
-        """Return the targets of a level, fitted to the recordings."""
-        config, arms, detail, shown = self.config, None, None, None
+    def _fit_targets(self, data: TrainingData, state: TrainingState | None) -> None:
+        """Fit the targets of each level to the recordings; none for losses that are off."""
+        losses, styles = self.config.losses, max(1, len(data.conditions.styles))
 
         def places(motion: Tensor) -> Tensor:
             return self.kinematics.places(self.normaliser.inverse(motion.to(self.device)))
 
-        if config.uses_arm_speed:
-            arms = arm_target(data.sample, i, self.normaliser, self.kinematics)
-        if config.losses.detail and i:  # the first level has no coarser one
-            styles = max(1, len(data.conditions.styles))
-            detail = DetailTarget(data.sample, i, places, data.window, styles).to(self.device)
-        if config.losses.state and state is not None:
-            shown = StateTarget(state, i, places).to(self.device)
-        return LevelTargets(arms, detail, shown)
+        self.arms, self.details, self.states = list[ArmTarget](), {}, list[StateTarget]()
+        if self.config.uses_arm_speed:
+            fit = partial(arm_target, normaliser=self.normaliser, kinematics=self.kinematics)
+            self.arms = [fit(data.sample, i) for i in self.indices]
+        if losses.detail:
+            self.details = {
+                i: DetailTarget(data.sample, i, places, data.window, styles).to(self.device)
+                for i in self.indices
+                if i  # the first level has no coarser one
+            }
+        if losses.state and state is not None:
+            self.states = [StateTarget(state, i, places).to(self.device) for i in self.indices]
 
     def state(self) -> dict[str, Any]:
         """Return what a checkpoint holds."""
@@ -418,7 +420,8 @@ class Stage:
         given, aims = self._targets_of(windows, n_frames)
 
         def losses_of(i: int) -> dict[str, Tensor]:
-            target, styles = self.targets[i], windows.styles[:, self.first + i]
+            number = self.first + i
+            detail, styles = self.details.get(number), windows.styles[:, number]
             level = LevelMotion(
                 self.normaliser.inverse(within[i]),
                 n_frames / within[i].shape[-1],
@@ -426,8 +429,8 @@ class Stage:
                 made[i],
                 made[i - 1].detach() if i else windows.coarser,
                 aims[i] if aims else None,
-                target.detail and partial(target.detail, styles=styles),
-                target.state and partial(target.state, state=given[i]),
+                detail and partial(detail, styles=styles),
+                partial(self.states[i], state=given[i]) if given else None,
             )
             return random_losses(level, self.kinematics, self.config.losses)
 
@@ -514,14 +517,12 @@ class Stage:
         """Return what each level was given of the state (B, C, T_i), and the predicted arm movement
         (B, 2, T_i); empty without such targets."""
         given, aims = list[Tensor](), list[Tensor]()
-        stated = [target.state for target in self.targets if target.state]
-        if stated:
-            channels = stated[0].channels
+        if self.states:
+            channels = self.states[0].channels
             rows = slice(-channels.width, len(channels.names) - channels.width)
             given = self._within([level[:, rows] for level in windows.conditions], n_frames)
-        arms = [target.arms for target in self.targets if target.arms]
-        if arms:
-            pairs = zip(arms, windows.speech, strict=True)
+        if self.arms:
+            pairs = zip(self.arms, windows.speech, strict=True)
             aims = self._within([target(speech) for target, speech in pairs], n_frames)
         return given, aims
 
