@@ -134,11 +134,6 @@ class Packing:
         # Kernels write whole lines, and read PADDING columns beyond them.
         self.width = START - PADDING + -(-self.columns // LINE) * LINE + LINE
 
-    @staticmethod
-    def fits(n_frames: int, kernel: int) -> bool:
-        """Return whether the kernels can compute a convolution of n frames."""
-        return kernel <= TAPS and n_frames > PADDING
-
     def empty(self, channels: int) -> np.ndarray:
         """Return an uninitialised (channels, width) array, aligned as torch aligns it."""
         return torch.empty(channels, self.width).numpy()
@@ -487,7 +482,8 @@ def _computes(layers: Sequence[SkeletonConv1d], x: Tensor) -> bool:
     """Return whether the kernels can compute these layers for x (B, C, T)."""
     exact = all(x.dtype == layer.weight.dtype == torch.float32 for layer in layers)
     on_cpu = x.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
-    return exact and on_cpu and all(Packing.fits(x.shape[-1], layer.shape[-1]) for layer in layers)
+    short = all(layer.shape[-1] <= TAPS for layer in layers)
+    return exact and on_cpu and short and x.shape[-1] > PADDING
 
 
 class NumbaBackend(TorchBackend):
