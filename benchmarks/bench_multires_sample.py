@@ -22,9 +22,8 @@ import audio_features as af
 from gesturekit.formats.smpl import smpl_skeleton
 from gesturekit.motion import Motion
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.layers import SLOPE
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.networks import SLOPE, MultiresGenerator
 from gesturekit.multires.pyramid import TILE, sample
 
 FPS, LEVELS = 30, 7

@@ -40,7 +40,7 @@ from gesturekit.motion import Motion
 from gesturekit.multires import losses
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.layers import SLOPE, block_neighbours
+from gesturekit.multires.networks import SLOPE, block_neighbours
 from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.config import load_config, to_dict
 from gesturekit.training.run_folder import Run

@@ -12,7 +12,8 @@ import torch.nn.functional as F
 from harness import arguments, compare, report
 
 from gesturekit.multires.backend import choose_backend
-from gesturekit.multires.layers import SkeletonConv1d, reflect
+from gesturekit.multires.networks import SkeletonConv1d
+from gesturekit.multires.resampling import reflect
 
 BLOCKS, WIDTH, KERNEL, MEAN_NEIGHBOURS = 29, 6, 5, 6
 

@@ -23,7 +23,7 @@ __all__, __getattr__, __dir__ = attach(
         "VectorKinematics": "kinematics",
         "choose_backend": "backend",
         "load_training_data": "training.loading",
-        "resample": "layers",
+        "resample": "resampling",
         "train": "training.trainer",
     },
 )

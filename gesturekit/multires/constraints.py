@@ -18,7 +18,6 @@ from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.root_path import RootPath, headings, side_axis
 from gesturekit.motion.rotations import quaternion_from_sixd
 from gesturekit.multires.keyframes import moved
-from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import (
     MultiresRepresentation,
     Normaliser,
@@ -26,6 +25,7 @@ from gesturekit.multires.motion_vector import (
     turned,
     turned_plane,
 )
+from gesturekit.multires.resampling import resample
 from gesturekit.training.clips import BLEND, InbetweenClips, ground_positions
 
 _SWAY = 0.03
@@ -160,58 +160,40 @@ class InbetweenConstraint:
         self.values = torch.from_numpy(values[np.where(is_left, at[left], at[right])].T)
         # Columns whose velocity is continuous too: all but contact labels and root steps.
         self.continuous = np.ones(representation.n_features, bool)
-        self.continuous[self.layout.contacts] = False
-        self.continuous[self.layout.root_xz] = False
+        self.continuous[np.r_[self.layout.contacts, self.layout.root_xz]] = False
 
     def __call__(self, level: int, output: Tensor) -> Tensor:
         """Return the output of a level, (1, D, T_i), with the clips in it and blended to them."""
         values = self.normaliser.to_values(output)
-        n_frames = len(values)
+        result, n_frames, xz = values.copy(), len(values), self.layout.root_xz
+        stride = self.lengths[-1] / n_frames
         given = resample(self.values, n_frames).T.numpy()
         spans = self._spans(n_frames)
         edges = [0, *(edge for span in spans for edge in span), n_frames]
-        result = values.copy()
-        for number, gap in enumerate(zip(edges[::2], edges[1::2], strict=True)):
-            if gap[0] < gap[1]:  # else a clip is at the very beginning or end
-                self._fill(result, given, values, gap, spans, number)
+        for number, (begin, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
+            count = end - begin
+            if count <= 0:  # a clip is at the very beginning or end
+                continue
+            between = begin > 0 and end < n_frames
+            reach = max(1, round(BLEND * self.fps / stride))
+            reach = min(reach, count + 1) if between else reach
+            if begin:
+                before = np.arange(*spans[number - 1])
+                result[begin:end] += self._correction(given[before], values[before], count, reach)
+            if end < n_frames:
+                after = np.arange(*spans[number])[::-1]
+                added = self._correction(given[after], values[after], count, reach)
+                result[begin:end] += added[::-1]
+            if between:
+                share = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2  # most in the middle
+                missing = self.displacements[number - 1] / stride
+                missing -= result[begin:end, xz].sum(axis=0)
+                result[begin:end, xz] += share[:, None] / share.sum() * missing
         for span in spans:
             result[slice(*span)] = given[slice(*span)]
         vectors = self.normaliser.from_values(result)
         is_finest = level + 1 == len(self.lengths)
         return vectors if is_finest else clamped_steps(vectors, self.layout)
-
-    def _fill(
-        self,
-        result: np.ndarray,
-        given: np.ndarray,
-        output: np.ndarray,
-        gap: tuple[int, int],
-        spans: Sequence[tuple[int, int]],
-        number: int,
-    ) -> None:
-        """Blend one gap of `result` to the clips beside it, and move the root by what is needed.
-
-        `result`, `given` (the clips) and `output` (of the level) are (T_i, D). `gap` and `spans`
-        are (first frame, stop) of the gap and of each clip; clip `number` - 1 precedes gap
-        `number`.
-        """
-        begin, end = gap
-        count, n_frames = end - begin, len(result)
-        stride = self.lengths[-1] / n_frames
-        between = begin > 0 and end < n_frames
-        reach = max(1, round(BLEND * self.fps / stride))
-        reach = min(reach, count + 1) if between else reach
-        if begin:
-            before = np.arange(*spans[number - 1])
-            result[begin:end] += self._correction(given[before], output[before], count, reach)
-        if end < n_frames:
-            after = np.arange(*spans[number])[::-1]
-            result[begin:end] += self._correction(given[after], output[after], count, reach)[::-1]
-        if between:
-            share = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2  # most in the middle
-            xz = self.layout.root_xz
-            missing = self.displacements[number - 1] / stride - result[begin:end, xz].sum(axis=0)
-            result[begin:end, xz] += share[:, None] / share.sum() * missing
 
     def _correction(
         self, given: np.ndarray, output: np.ndarray, count: int, reach: int

@@ -10,6 +10,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,10 +22,12 @@ from torch import Tensor
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.motion.rotations import invert_quaternions, rotate_vectors
-from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.layers import resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.resampling import resample
 from gesturekit.training.clips import ground_positions, on_rig
+
+if TYPE_CHECKING:
+    from gesturekit.multires.model import MultiresModel
 
 _EASE_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths the correction of the root's path."""
@@ -64,9 +68,8 @@ class KeyframeConstraint:
         self.weight = _widened(np.asarray(edited.any(axis=1))).to(self.given.dtype)
         self.channels = torch.ones(given.shape[1], 1)
         self.channels[representation.layout.contacts] = 0
-        legs = np.ones(given.shape[1], bool)
+        legs, rig = np.ones(given.shape[1], bool), representation.skeleton
         legs[representation.layout.contacts] = False
-        rig = representation.skeleton
         upper = () if unidentified(rig) else upper_body(rig)
         for name in set(representation.joints) & set(upper):
             legs[representation.joint_columns(name)] = False
@@ -81,8 +84,9 @@ class KeyframeConstraint:
         # Half a frame of the edited level, which represents only slower movement. Filtering twice
         # leaves less of the slow difference.
         spread = 0.5 * n_frames / self.given.shape[-1]
-        missing = _smoothed(wanted, spread)
-        missing += _smoothed(wanted - missing, spread)
+        smooth = partial(gaussian_filter1d, sigma=spread, mode="nearest")
+        missing = smooth(wanted)
+        missing += smooth(wanted - missing)
         return output + resample(self.weight, n_frames) * self.channels * torch.from_numpy(missing)
 
     def edited_feet(self, n_frames: int) -> np.ndarray:
@@ -90,26 +94,19 @@ class KeyframeConstraint:
         return resample(self._feet, n_frames).numpy()
 
 
-def level_motion(
-    representation: MultiresRepresentation, values: np.ndarray, fps: float, n_frames: int
-) -> Motion:
+def level_motion(model: MultiresModel, values: np.ndarray, n_frames: int) -> Motion:
     """Return a level's vectors (T_i, D), in their own units, as a motion at that level's own rate.
 
-    `fps` and `n_frames` are those of the finest level.
+    `n_frames` is the number of frames of the finest level.
     """
-    stride = n_frames / len(values)
-    values = values.copy()
+    stride, values = n_frames / len(values), values.copy()
     # Displacements are per full-rate frame at every level.
-    values[:, representation.layout.root_xz] *= stride
-    return representation.decode(values, fps / stride)
+    values[:, model.representation.layout.root_xz] *= stride
+    return model.representation.decode(values, model.fps / stride)
 
 
 def motion_level(
-    representation: MultiresRepresentation,
-    motion: Motion,
-    fps: float,
-    lengths: Sequence[int],
-    level: int,
+    model: MultiresModel, motion: Motion, lengths: Sequence[int], level: int
 ) -> np.ndarray:
     """Return the vectors (T_i, D) of a level, from a motion of the same duration.
 
@@ -117,74 +114,62 @@ def motion_level(
     other motion is resampled to the full rate and then to the level, as in training.
 
     Args:
-        representation: of the vectors.
+        model: of the vectors.
         motion: on any rig; retargeted if it is not the model's.
-        fps: frames per second of the finest level.
         lengths: frames of each level.
         level: index of the level.
 
     Raises:
         ModelError: a rig that cannot be retargeted to the model's.
     """
-    n_frames = lengths[-1]
+    representation, n_frames = model.representation, lengths[-1]
     motion = on_rig(representation, motion)
     if motion.n_frames == lengths[level] and motion.n_frames < n_frames:
         values = representation.encode(motion)
         values[:, representation.layout.root_xz] *= lengths[level] / n_frames
         return values
-    values = representation.encode(motion.resample(fps, n_frames))
+    values = representation.encode(motion.resample(model.fps, n_frames))
     return resample(torch.from_numpy(values.T), lengths[level]).T.numpy()
 
 
-def fit_keyframes(
-    representation: MultiresRepresentation,
-    motion: Motion,
-    fps: float,
-    network: NetworkConfig,
-    level: int,
-    n_frames: int | None,
-) -> Motion:
+def fit_keyframes(model: MultiresModel, motion: Motion, level: int, n_frames: int | None) -> Motion:
     """Return keyframes on the model's rig and without frames past the end; warn of misfits.
 
     Args:
-        representation: of the model.
+        model: the trained model.
         motion: the edited motion.
-        fps: frames per second of the finest level.
-        network: of the model.
         level: index of the level that the motion replaces.
-        n_frames: frames of the result at `fps`; None if the keyframes determine the length.
+        n_frames: frames of the result at the model's rate; None if the keyframes determine the
+            length.
 
     Raises:
         ModelError: a rig that cannot be retargeted to the model's.
     """
-    end = None if n_frames is None else network.lengths(n_frames)[level]
-    motion = _without_held_frames(motion, end)
-    retargeted = on_rig(representation, motion)
+    lengths_of = model.network_config.lengths
+    motion = _without_held_frames(motion, None if n_frames is None else lengths_of(n_frames)[level])
+    retargeted = on_rig(model.representation, motion)
     if retargeted is not motion:
         log.warning(
             "keyframes: the rig (%d joints) is not the model's (%d joints): retargeted",
-            motion.skeleton.n_joints,
-            representation.skeleton.n_joints,
+            *(motion.skeleton.n_joints, model.skeleton.n_joints),
         )
-    wanted = full_frames(motion, fps) if n_frames is None else n_frames
-    _warn_of_misfit(motion, fps, network.lengths(wanted), level, n_frames is not None)
+    wanted = full_frames(motion, model.fps) if n_frames is None else n_frames
+    _warn_of_misfit(motion, model.fps, lengths_of(wanted), level, n_frames is not None)
     return retargeted
 
 
 def _without_held_frames(motion: Motion, end: int | None) -> Motion:
     """Return a motion without equal frames after `end`, or after the last change if it is None."""
     moves = np.diff(motion.rotations, axis=0), np.diff(motion.translation, axis=0)
-    changes = np.flatnonzero(
-        [max(np.abs(m[k]).max() for m in moves) > _EQUAL for k in range(motion.n_frames - 1)]
-    )
+    changes = np.any([np.abs(m).max(axis=tuple(range(1, m.ndim))) > _EQUAL for m in moves], axis=0)
+    changes = np.flatnonzero(changes)
     last = int(changes[-1]) + 2 if len(changes) else motion.n_frames
     end = last if end is None else end
     if last <= end < motion.n_frames and motion.n_frames - last >= _HELD_FRAMES - 1:
         log.warning(
             "keyframes: %d equal frames at the end are left out, %d remain (Blender exports 250 "
             "frames unless the clip's length is set); to keep them, give the length in seconds",
-            motion.n_frames - end,
-            end,
+            *(motion.n_frames - end, end),
         )
         return motion[:end]
     return motion
@@ -194,28 +179,22 @@ def _warn_of_misfit(
     motion: Motion, fps: float, lengths: Sequence[int], level: int, length_given: bool
 ) -> None:
     """Warn if the keyframes have another rate, or not as many frames, as the level they replace."""
-    rates = [fps * length / lengths[-1] for length in lengths]
+    rates = fps * np.array(lengths) / lengths[-1]
     if abs(motion.fps - rates[level]) > _RATE_TOLERANCE * rates[level]:
-        nearest = int(np.argmin([abs(motion.fps - rate) for rate in rates]))
-        fits = abs(motion.fps - rates[nearest]) <= _RATE_TOLERANCE * rates[nearest]
+        nearest = int(np.abs(motion.fps - rates).argmin())
+        what = f"no level has this rate; resampled as {motion.duration:.2f} s of motion"
+        if abs(motion.fps - rates[nearest]) <= _RATE_TOLERANCE * rates[nearest]:
+            what = f"it fits level {nearest + 1}; resampled"
         log.warning(
             "keyframes: %.4g fps, but level %d has %.4g fps: %s",
-            motion.fps,
-            level + 1,
-            rates[level],
-            f"it fits level {nearest + 1}; resampled"
-            if fits
-            else f"no level has this rate; resampled as {motion.duration:.2f} s of motion",
+            *(motion.fps, level + 1, rates[level], what),
         )
     elif length_given and motion.n_frames != lengths[level]:
+        is_long = motion.n_frames > lengths[level]
         log.warning(
             "keyframes: %d frames, but level %d has %d for this length: %s",
-            motion.n_frames,
-            level + 1,
-            lengths[level],
-            "the rest is left out"
-            if motion.n_frames > lengths[level]
-            else "the last pose is held to the end",
+            *(motion.n_frames, level + 1, lengths[level]),
+            "the rest is left out" if is_long else "the last pose is held to the end",
         )
 
 
@@ -271,21 +250,14 @@ def root_through_keyframes(
     frames = np.arange(len(path))
     at = ((np.arange(len(goals)) + 0.5) * len(path) / len(goals) - 0.5)[edited]
     missing = [goals[edited, i] - np.interp(at, frames, path[:, i]) for i in range(path.shape[1])]
-    offset = path - ground_positions(representation, motion)
-    offset += gaussian_filter1d(
-        np.stack([_interpolated(frames, at, values) for values in missing], axis=1),
-        _EASE_SECONDS * motion.fps,
-        axis=0,
-        mode="nearest",
-    )
-    return moved(representation, motion, offset)
-
-
-def _interpolated(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Interpolate (k,) values at (k,) frames to (T,): without overshoot, and constant outside."""
     if len(at) == 1:
-        return np.full(len(frames), values[0])
-    return PchipInterpolator(at, values)(frames.clip(at[0], at[-1]))
+        correction = np.tile(np.transpose(missing), (len(frames), 1))
+    else:  # without overshoot, and constant outside
+        correction = PchipInterpolator(at, missing, axis=1)(frames.clip(at[0], at[-1])).T
+    spread = _EASE_SECONDS * motion.fps
+    offset = path - ground_positions(representation, motion)
+    offset += gaussian_filter1d(correction, spread, axis=0, mode="nearest")
+    return moved(representation, motion, offset)
 
 
 def moved(representation: MultiresRepresentation, motion: Motion, offset: np.ndarray) -> Motion:
@@ -305,12 +277,7 @@ def full_frames(motion: Motion, fps: float) -> int:
     return max(1, int(np.floor(motion.n_frames / motion.fps * fps + 0.5)))
 
 
-def _smoothed(values: np.ndarray, spread: float) -> np.ndarray:
-    """Return (..., T) values convolved with a Gaussian over time."""
-    return gaussian_filter1d(values, spread, mode="nearest")
-
-
 def _widened(where: np.ndarray) -> Tensor:
     """Return weights (T,): 1 where `where` is true, falling smoothly to 0 around it."""
     where = where.astype(np.float64)
-    return torch.from_numpy(np.maximum(where, _smoothed(where, 1.0)))
+    return torch.from_numpy(np.maximum(where, gaussian_filter1d(where, 1.0, mode="nearest")))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from gesturekit.errors import ConfigError
 from gesturekit.motion.parts import arm_joints
 from gesturekit.motion.torch_kinematics import PointKinematics, foot_kinematics, sixd_to_matrix
-from gesturekit.multires.layers import reflect
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.resampling import reflect
+from gesturekit.state.channels import StateChannels
 
 SMOOTHING_SECONDS = 0.1
 """Standard deviation of the Gaussian that smooths rotations before arm speed is computed, and the
@@ -135,6 +137,16 @@ class VectorKinematics(nn.Module):
         """Return smoothed rotation matrices (B, 4, 3, 3, T) of shoulders and elbows."""
         rotations = sixd_to_matrix(self._sixd(values)[:, self.arms].permute(0, 3, 1, 2))
         return smooth(rotations.movedim(1, -1), smoothing * self.fps / stride)
+
+
+@torch.no_grad()
+def measured_state(
+    vectors: np.ndarray, representation: MultiresRepresentation, channels: StateChannels, fps: float
+) -> np.ndarray:
+    """Return the state of movement (C, T) of motion vectors (T, D), in their own units."""
+    values = torch.from_numpy(vectors.T[None]).float()
+    places = VectorKinematics(representation, fps, arms=False).places(values)
+    return channels(places, fps)[0].double().numpy()
 
 
 def log_movement(speed: Tensor, acceleration: Tensor, frame_seconds: float) -> Tensor:

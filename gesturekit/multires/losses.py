@@ -16,7 +16,7 @@ from torch import Tensor
 
 from gesturekit.multires.config import LossConfig
 from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.layers import resample
+from gesturekit.multires.resampling import resample
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Unpack
 
@@ -17,15 +17,20 @@ from gesturekit.model import build_controls, document_controls
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
-from gesturekit.multires.conditions import Conditions, style_levels
 from gesturekit.multires.config import NetworkConfig
 from gesturekit.multires.controls import MultiresControls
-from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.layers import n_weights
+from gesturekit.multires.kinematics import measured_state
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
-from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence, generated
-from gesturekit.multires.request import Request, check_controls
+from gesturekit.multires.networks import MultiresGenerator, load_generator
+from gesturekit.multires.pyramid import (
+    Conditions,
+    TrainedNoise,
+    TrainedSequence,
+    generated,
+    level_range,
+    requested_styles,
+    style_levels,
+)
 from gesturekit.multires.retrieval import (
     RecordedLibrary,
     library_row,
@@ -41,9 +46,12 @@ from gesturekit.state.process import load_state, state_values
 from gesturekit.training.config import build, to_dict
 from gesturekit.training.features import conditioner_values, load_conditioner
 from gesturekit.training.model_folder import ModelParts, TrainedModel, with_faces
-from gesturekit.training.seeds import checked_draw
+from gesturekit.training.seeds import checked_draw, rng_for
 
-_CONVOLUTION = re.compile(r"layers\.\d+\.weight")
+_OF_LEVELS = ("levels", "level_style", "level_speech", "keyframes", "like", "keep", "path")
+"""Controls that a model without levels, which plays recordings, does not take."""
+_OF_ALL_LEVELS = ("path", "like", "keyframes", "keep", "speaker")
+"""Controls that a motion of a coarse level does not take."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -78,13 +86,11 @@ class MultiresModel(TrainedModel):
         """Predictions for live speech; empty for a model that cannot stream."""
         return () if self.state_process is None else self.state_process.ahead
 
-    @torch.no_grad()
     def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
         """Return the state of movement (C, T) of motion vectors (T, D), in their own units."""
         assert self.state_process is not None
-        values = torch.from_numpy(vectors.T[None]).float()
-        places = VectorKinematics(self.representation, self.fps, arms=False).places(values)
-        return self.state_process.channels(places, self.fps)[0].double().numpy()
+        channels = self.state_process.channels
+        return measured_state(vectors, self.representation, channels, self.fps)
 
     @document_controls(MultiresControls)
     @gesturekit_errors()
@@ -117,21 +123,21 @@ class MultiresModel(TrainedModel):
             AudioError, FormatError: a file cannot be read, or an array is not audio.
             MotionError: a `smooth` below 0.
         """
-        asked = build_controls(MultiresControls, controls, self.kind)
+        asked = self.check_controls(samples=samples, seed=seed, **controls)
         seed, item = checked_draw(seed, item)
-        rate = self._rate(asked)
-        check_controls(self, asked, samples)
-        request = Request(self, asked, as_speech(speech, sample_rate), seconds)
-        sampler = Sampler(self, request)
+        sampler = Sampler(self, asked, as_speech(speech, sample_rate), seconds)
         # One at a time: batching changes the order of sums, and the last digits of a sample would
         # depend on the number of samples.
         motions = [
-            request.placement.applied(sampler.motion(seed, item, number))
+            sampler.placement.applied(sampler.motion(seed, item, number))
             for number in range(samples)
         ]
+        rate = asked["fps"]
+        if rate is None and not sampler.is_coarse:
+            rate = self.recorded_fps if asked["keyframes"] is None else self.fps
         if rate is not None:
-            motions = [to_output_rate(motion, rate, request.wave, seconds) for motion in motions]
-        motions = with_faces(motions, request.wave, asked, seed, item)
+            motions = [to_output_rate(motion, rate, sampler.wave, seconds) for motion in motions]
+        motions = with_faces(motions, sampler.wave, asked, seed, item)
         return motions[0] if samples == 1 else motions
 
     @gesturekit_errors()
@@ -180,20 +186,39 @@ class MultiresModel(TrainedModel):
         requested_backend()
         checked_draw(seed)
         asked = build_controls(MultiresControls, controls, self.kind)
-        check_controls(self, asked, samples)
+        if problem := next(self._problems(asked, samples), None):
+            raise ModelError(problem)
         return asked
 
-    def _rate(self, controls: MultiresControls) -> float | None:
-        """Return the frames per second of the result; None for the rate of a coarse level."""
-        coarse = controls["levels"] not in (None, self.network_config.levels)
-        asked = controls["fps"]
-        if coarse and asked is not None:
-            raise ModelError(
-                f"fps={asked:g}: with levels={controls['levels']} a motion has that level's rate"
-            )
-        if coarse or asked is not None:
-            return asked
-        return self.recorded_fps if controls["keyframes"] is None else self.fps
+    def _problems(self, controls: MultiresControls, samples: int) -> Iterator[str]:
+        """Yield what is wrong with controls; a style or a level's text is wrong by a ModelError."""
+        n_levels, levels = self.network_config.levels, controls["levels"]
+        if self.styles:
+            lengths, rng = [1] * n_levels, rng_for(0, "check")
+            requested_styles(self.styles, controls, lengths, fps=self.fps, rng=rng)
+        for name, value in (("style", controls["style"]), ("level_style", controls["level_style"])):
+            if value is not None and not self.styles:
+                yield f"{name}={value!r}: this multires model has no {name}"
+        for text in controls["level_speech"] or ():
+            level_range(text, n_levels, "level speech")
+            if self.conditions.conditioner is None:
+                yield "level_speech: this model takes no speech"
+        yield from self.problems(controls, samples)
+        for name, level in (("levels", levels), ("keyframe_level", controls["keyframe_level"])):
+            if level is not None and not 1 <= level <= n_levels:
+                yield f"{name}={level}: the model has levels 1 (coarse) to {n_levels}"
+        of_levels = [name for name, value in controls.items() if name in _OF_LEVELS and value]
+        if self.retrieves and of_levels:
+            yield f"{of_levels[0]}: this model plays recordings, without a network's levels"
+        whole = [n for n, v in controls.items() if n in _OF_ALL_LEVELS and v is not None]
+        if {"path", "like"} <= {*whole}:
+            yield "path and like: give one of them"
+        if levels not in (None, n_levels):
+            fps = controls["fps"]
+            if fps is not None:
+                yield f"fps={fps:g}: with levels={levels} a motion has that level's rate"
+            if whole:
+                yield f"{whole[0]} goes with all levels: leave levels away"
 
     def reconstruct(
         self, name: str, speech: Speech | None = None, sample_rate: int | None = None
@@ -278,12 +303,11 @@ class MultiresModel(TrainedModel):
         dtype: torch.dtype,
     ) -> dict[str, Any]:
         """Return the fields of a folder that are a multires model's own; see `load`."""
-        config, tensors = parts.config, parts.tensors
+        config, tensors, features = parts.config, parts.tensors, parts.config["features"]
         where, fps = str(parts.folder / "config.yaml"), float(config["fps"])
         network_config = build(NetworkConfig, config["network"], where=where)
-        skeleton = Skeleton.from_json(parts.rig["skeleton"])
+        skeleton, conditioner = Skeleton.from_json(parts.rig["skeleton"]), None
         representation = MultiresRepresentation.from_json(skeleton, parts.rig["motion"])
-        features, conditioner = config["features"], None
         if features is not None:
             conditioner = load_conditioner(features, tensors, fps, weights, str(device))
         n_speech = 0 if conditioner is None else conditioner.dim
@@ -296,18 +320,12 @@ class MultiresModel(TrainedModel):
             None if state is None else channels,
         )
         trained = parts.tensors_under("network.")
-        given = sum(t.numel() for name, t in trained.items() if _CONVOLUTION.search(name))
-        if (needed := n_weights(representation, network_config, conditions.width)) != given:
-            raise ValueError(f"{needed} weights by config.yaml, {given} in model.safetensors")
-        network = MultiresGenerator(representation, conditions.width, network_config)
-        network.load_state_dict(trained)
+        network = load_generator(representation, conditions.width, network_config, trained)
+        recorded = config["sequences"].items()
         noise = TrainedNoise(
             sigma=tensors["sigma"],
             z_star=parts.tensors_under("z_star."),
-            sequences={
-                name: build(TrainedSequence, values, where=where)
-                for name, values in config["sequences"].items()
-            },
+            sequences={name: build(TrainedSequence, own, where=where) for name, own in recorded},
             z_star_shuffle=int(config["z_star_shuffle"]),
             noise_levels=int(config["noise_levels"]),
         )

@@ -202,16 +202,12 @@ class Normaliser:
     ) -> Normaliser:
         """Compute mean and scale of encoded training motions, each (T, D)."""
         values = np.concatenate(motions)
-        scale = values.std(axis=0)
-        start = 0
-        n_joints = len(representation.joints)
-        for block, size in enumerate(representation.block_sizes[:-1]):
-            columns = slice(start, start + size)
-            spread = np.sqrt((scale[columns] ** 2).mean())
-            floor = _SCALE_FLOORS["joint" if block < n_joints else "contact"]
-            scale[columns] = max(spread, floor)
-            start += size
-        root = representation.layout.root
+        scale, root = values.std(axis=0), representation.layout.root
+        sizes = np.array(representation.block_sizes[:-1])
+        of_joint = np.arange(len(sizes)) < len(representation.joints)
+        floors = np.where(of_joint, _SCALE_FLOORS["joint"], _SCALE_FLOORS["contact"])
+        sums = np.add.reduceat(scale[: root.start] ** 2, np.cumsum(sizes) - sizes)
+        scale[: root.start] = np.repeat(np.maximum(np.sqrt(sums / sizes), floors), sizes)
         dx, height, dz = scale[root]
         across = max(np.hypot(dx, dz) / np.sqrt(2), _SCALE_FLOORS["displacement"] / fps)
         scale[root] = across, max(height, _SCALE_FLOORS["height"]), across

@@ -2,34 +2,215 @@
 
 `LevelGenerator` is G_i with FiLM (eqs. 6 to 10), `LevelDiscriminator` is D_i, and `TorchBackend`
 defines the operations that the CPU engine computes faster.
+
+A skeleton-aware convolution connects each joint to the joints near it in the skeleton's tree
+(Aberman et al. 2020, in the form of Li et al. 2022, GANimator). The channels of a frame are split
+into blocks: one for each modelled joint and each foot contact, and one for the root's displacement.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from functools import lru_cache
-from typing import TypeVar
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import shortest_path
 from torch import Tensor, nn
 
+from gesturekit.errors import ConfigError
+from gesturekit.motion.parts import unidentified, upper_body
 from gesturekit.multires import losses
 from gesturekit.multires.config import LossConfig, NetworkConfig
-from gesturekit.multires.layers import (
-    SLOPE,
-    Convolve,
-    SkeletonConv1d,
-    convolve_dense,
-    modulated_blocks,
-    module_list,
-    reflect,
-    resample,
-    skeleton_layers,
-)
 from gesturekit.multires.motion_vector import MultiresRepresentation
+from gesturekit.multires.resampling import reflect, resample
+
+T = TypeVar("T")
+Modules = TypeVar("Modules", bound=nn.Module)
+_MOST_WEIGHTS = 1 << 27  # of a dense kernel; GANimator's have 0.3 million
+SLOPE = 0.2
+"""Negative slope of the leaky rectifiers, as in GANimator."""
+
+
+def block_neighbours(
+    representation: MultiresRepresentation, distance: int, contact_reach: str = "near"
+) -> np.ndarray:
+    """Return (blocks, blocks) bool, True where the first block takes the second as input.
+
+    Joints are connected if they are at most `distance` bones apart. A contact label counts as
+    located at its foot joint, and the root's displacement as located at the root; it is also
+    connected to all contacts. With `contact_reach` "foot", a contact label is an input of its foot
+    joint, of labels at that joint, and of the root's displacement only.
+    """
+    skeleton = representation.skeleton
+    # Distances on the whole rig: a joint that is not modelled still lies between its neighbours.
+    bones = [(child, parent) for child, parent in enumerate(skeleton.parents) if parent >= 0]
+    ends = np.array(bones, dtype=int).reshape(-1, 2).T
+    size = (skeleton.n_joints, skeleton.n_joints)
+    graph = coo_array((np.ones(len(bones)), tuple(ends)), shape=size).tocsr()
+    apart = shortest_path(graph, directed=False, unweighted=True)
+    joints = representation.indices
+    feet = [skeleton.index(point.joint) for point in representation.foot_points]
+    places = [*joints, *feet, representation.root]
+    near = apart[np.ix_(places, places)] <= distance
+    contacts = slice(len(joints), len(joints) + len(feet))
+    if contact_reach == "foot":
+        near[:, contacts] = np.equal.outer(places, feet)
+    near[-1, contacts] = near[contacts, -1] = True
+    return near
+
+
+def modulated_blocks(representation: MultiresRepresentation, config: NetworkConfig) -> np.ndarray:
+    """Return (blocks,) bool, True for blocks that the condition modulates.
+
+    Contacts and the root's displacement are modulated only with `modulate: all`. If the upper body
+    of a rig cannot be identified, `upper` modulates every block too.
+    """
+    skeleton, n_blocks = representation.skeleton, len(representation.block_sizes)
+    if config.modulate == "all" or (config.modulate == "upper" and unidentified(skeleton)):
+        return np.ones(n_blocks, dtype=bool)
+    if config.modulate == "upper":
+        names = set(upper_body(skeleton))
+    else:
+        names = {skeleton.names[skeleton.index(name)] for name in config.modulate}
+    joints = [name in names for name in representation.joints]
+    return np.array(joints + [False] * (n_blocks - len(joints)))
+
+
+class SkeletonConv1d(nn.Module):
+    """Convolution over time in which each output block depends only on the input blocks near it.
+
+    Only weights between neighbours are parameters. About 80 % of the dense kernel is always zero,
+    and takes no memory in the optimiser or the model file.
+
+    Args:
+        neighbours: (output blocks, input blocks) bool, see `block_neighbours`.
+        sizes_in: channels of each input block.
+        sizes_out: channels of each output block.
+        kernel: odd number of frames; the ends are padded by reflection.
+
+    Attributes:
+        weight: (N,) weights between neighbours, in the order of the dense kernel.
+        bias: (channels out,).
+    """
+
+    positions: Tensor
+
+    def __init__(
+        self, neighbours: np.ndarray, sizes_in: Sequence[int], sizes_out: Sequence[int], kernel: int
+    ) -> None:
+        super().__init__()
+        self.padding = kernel // 2
+        self.neighbours = neighbours
+        self.sizes = (tuple(sizes_in), tuple(sizes_out))
+        self.shape = (sum(sizes_out), sum(sizes_in), kernel)
+        mask = np.repeat(np.repeat(neighbours, sizes_out, axis=0), sizes_in, axis=1)
+        positions = np.flatnonzero(np.repeat(mask[..., None], kernel, axis=2))
+        self.register_buffer("positions", torch.from_numpy(positions), persistent=False)
+        # Each output channel starts as a layer of its own fan-in would (Kaiming, a = sqrt 5).
+        bound = 1 / np.sqrt(kernel * mask.sum(axis=1))
+        per_weight = np.broadcast_to(bound[:, None, None], self.shape).reshape(-1)[positions]
+        self.weight = nn.Parameter(torch.empty(len(positions)).uniform_(-1, 1))
+        self.bias = nn.Parameter(torch.empty(self.shape[0]).uniform_(-1, 1))
+        with torch.no_grad():
+            self.weight.mul_(torch.from_numpy(per_weight.astype(np.float32)))
+            self.bias.mul_(torch.from_numpy(bound.astype(np.float32)))
+
+    def dense_weight(self) -> Tensor:
+        """Return the dense kernel (channels out, channels in, kernel)."""
+        dense = self.weight.new_zeros(math.prod(self.shape))
+        return dense.scatter_(0, self.positions, self.weight).view(self.shape)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, channels out, T) of x (B, channels in, T)."""
+        return F.conv1d(reflect(x, self.padding), self.dense_weight(), self.bias)
+
+
+def module_list(modules: Iterable[Modules]) -> Sequence[Modules]:
+    """Return torch's list of these modules, with their type, which torch's own lacks."""
+    typed: Any = nn.ModuleList(modules)
+    return typed
+
+
+def n_weights(
+    representation: MultiresRepresentation, config: NetworkConfig, n_condition: int
+) -> int:
+    """Return the number of weights of all generators' skeleton convolutions, without making any."""
+    n_concatenated = config.embedding if n_condition and config.film == "concatenate" else 0
+    shapes = layer_shapes(representation, config, n_concatenated=n_concatenated)
+    connected = sum(np.array(b) @ near @ np.array(a) for near, a, b in shapes)
+    return config.levels * config.kernel * int(connected)
+
+
+def layer_shapes(
+    representation: MultiresRepresentation,
+    config: NetworkConfig,
+    *,
+    output: bool = True,
+    n_concatenated: int = 0,
+) -> list[tuple[np.ndarray, tuple[int, ...], tuple[int, ...]]]:
+    """Return neighbours, and channels of input and output blocks, of each layer of one level.
+
+    Layers lead from motion vectors to hidden features.
+
+    Args:
+        representation: of the motion vectors.
+        config: widths and neighbours.
+        output: add a last layer, back to motion vectors.
+        n_concatenated: further channels of the input, which the modulated blocks see.
+
+    Raises:
+        ConfigError: the dense kernel of a layer would take too much memory.
+    """
+    near = block_neighbours(representation, config.neighbour_distance, config.contact_reach)
+    motion = representation.block_sizes
+    parts = len(near) if config.channels_per == "layer" else 1
+    widths = [math.ceil(channels / parts) for channels in config.channels]
+    sizes = [motion, *((width,) * len(near) for width in widths), *[motion] * output]
+    shapes = [(near, a, b) for a, b in itertools.pairwise(sizes)]
+    if n_concatenated:
+        seen = modulated_blocks(representation, config)
+        first = np.column_stack([near, seen]), (*motion, n_concatenated), sizes[1]
+        shapes[0] = first
+    if max(sum(a) * sum(b) for _, a, b in shapes) * config.kernel > _MOST_WEIGHTS:
+        raise ConfigError(
+            f"channels: {list(config.channels)} and kernel {config.kernel} on {len(near)} blocks: "
+            f"a dense layer would have over {_MOST_WEIGHTS} weights"
+        )
+    return shapes
+
+
+def convolve_dense(
+    layers: Sequence[SkeletonConv1d], x: Tensor, slope: float, last_slope: float
+) -> Tensor:
+    """Apply layers one after another with leaky rectifiers between them, in plain torch.
+
+    Args:
+        layers: each takes the output of the previous one.
+        x: (B, channels in, T).
+        slope: negative slope of the rectifiers between layers.
+        last_slope: that of the rectifier after the last layer; 1 for none.
+
+    Returns:
+        (B, channels out, T).
+    """
+    for i, layer in enumerate(layers):
+        x = layer(x)
+        negative = last_slope if i == len(layers) - 1 else slope
+        x = x if negative == 1 else F.leaky_relu(x, negative)
+    return x
+
+
+Convolve = Callable[[Sequence[SkeletonConv1d], Tensor, float, float], Tensor]
+"""An implementation of `convolve_dense`."""
 
 
 class Film(nn.Module):
@@ -77,9 +258,8 @@ class LevelGenerator(nn.Module):
         super().__init__()
         self.concatenates = bool(n_condition) and config.film == "concatenate"
         n_concatenated = config.embedding if self.concatenates else 0
-        self.layers = skeleton_layers(
-            representation, config, output=True, n_concatenated=n_concatenated
-        )
+        shapes = layer_shapes(representation, config, n_concatenated=n_concatenated)
+        self.layers = module_list(SkeletonConv1d(*shape, config.kernel) for shape in shapes)
         self.rectify_embedding, self.residual = config.rectify_embedding, config.residual
         self.embed, self.films = None, module_list(list[Film]())
         if n_condition:
@@ -170,6 +350,28 @@ class MultiresGenerator(nn.Module):
         return made
 
 
+_CONVOLUTION = re.compile(r"layers\.\d+\.weight")
+
+
+def load_generator(
+    representation: MultiresRepresentation,
+    n_condition: int,
+    config: NetworkConfig,
+    weights: Mapping[str, Tensor],
+) -> MultiresGenerator:
+    """Return generators with the weights of a model file.
+
+    Raises:
+        ValueError: another number of weights than the settings ask for; no layer is made then.
+    """
+    given = sum(t.numel() for name, t in weights.items() if _CONVOLUTION.search(name))
+    if (needed := n_weights(representation, config, n_condition)) != given:
+        raise ValueError(f"{needed} weights by config.yaml, {given} in model.safetensors")
+    network = MultiresGenerator(representation, n_condition, config)
+    network.load_state_dict(weights)
+    return network
+
+
 class LevelDiscriminator(nn.Module):
     """Patch discriminator D_i of one level; it has no speech input.
 
@@ -181,7 +383,8 @@ class LevelDiscriminator(nn.Module):
         self, representation: MultiresRepresentation, config: NetworkConfig, n_styles: int = 0
     ) -> None:
         super().__init__()
-        self.layers = skeleton_layers(representation, config, output=False, n_concatenated=0)
+        shapes = layer_shapes(representation, config, output=False)
+        self.layers = module_list(SkeletonConv1d(*shape, config.kernel) for shape in shapes)
         width = self.layers[-1].shape[0]
         self.score = nn.Conv1d(width, 1, config.kernel)
         if n_styles:
@@ -231,20 +434,17 @@ def tap_frequencies(n_frames: int, kernel: int) -> Tensor:
     return windows.sum(dim=1).T.contiguous() / n_frames
 
 
-T = TypeVar("T")
-
-
+@dataclass(frozen=True)
 class TorchBackend:
     """Dense convolutions and autograd: the definition of what every backend computes.
 
-    Args:
+    Attributes:
         reason: why this backend was chosen, for the log.
     """
 
-    name = "torch"
+    name: ClassVar[str] = "torch"
 
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
+    reason: str
 
     def convolve(
         self, layers: Sequence[SkeletonConv1d], x: Tensor, slope: float, last_slope: float
@@ -275,36 +475,27 @@ class TorchBackend:
         Returns:
             (levels,) values of eq. 12, without weights.
         """
-        return torch.stack(
-            [
-                self._level_gradients(*level, config)
-                for level in zip(discriminators, reals, fakes, mixes, styles, strict=True)
-            ]
-        )
+        gaps = []
+        levels = zip(discriminators, reals, fakes, mixes, styles, strict=True)
+        for discriminator, real, fake, mix, style in levels:
+            score = partial(self._scores, discriminator, style)
+            gap = losses.discriminator_gap(*score(torch.cat([fake, real])).split(len(real)))
+            penalty = losses.gradient_penalty(score, real, fake, mix, config.penalty_on)
+            loss = config.discriminator_scale * gap + config.gradient_penalty * penalty
+            parameters = list(discriminator.parameters())
+            gradients = torch.autograd.grad(loss, parameters)
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = gradient
+            gaps.append(gap.detach())
+        return torch.stack(gaps)
 
-    def _level_gradients(
-        self,
-        discriminator: LevelDiscriminator,
-        real: Tensor,
-        fake: Tensor,
-        mix: Tensor,
-        style: Tensor | None,
-        config: LossConfig,
+    def _scores(
+        self, discriminator: LevelDiscriminator, style: Tensor | None, motions: Tensor
     ) -> Tensor:
-        def score(motions: Tensor) -> Tensor:
-            repeats = len(motions) // len(real)
-            repeated = None if style is None else torch.cat([style] * repeats)
-            return discriminator(motions, repeated, self.convolve)
-
-        gap = losses.discriminator_gap(*score(torch.cat([fake, real])).split(len(real)))
-        penalty = losses.gradient_penalty(score, real, fake, mix, config.penalty_on)
-        loss = config.discriminator_scale * gap + config.gradient_penalty * penalty
-        parameters = list(discriminator.parameters())
-        for parameter, gradient in zip(
-            parameters, torch.autograd.grad(loss, parameters), strict=True
-        ):
-            parameter.grad = gradient
-        return gap.detach()
+        """Return the scores of motions, which are as many as the styles (B, K) or twice as many."""
+        if style is not None:
+            style = torch.cat([style] * (len(motions) // len(style)))
+        return discriminator(motions, style, self.convolve)
 
     def run_tasks(self, *tasks: Callable[[], T]) -> list[T]:
         """Run independent tasks and return their results."""

@@ -10,10 +10,11 @@ not shown lately.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -65,27 +66,27 @@ class PassiveChannels:
         recorded = {face.names if face and face.origin == "recorded" else () for face in faces}
         return cls(tuple(moving), recorded.pop() if len(recorded) == 1 else ())
 
-    def encode(self, motion: Motion) -> Tensor:
-        """Return (6 F + E, T) float32 rotations and face channels."""
+    def encode(self, motion: Motion) -> np.ndarray:
+        """Return (T, 6 F + E) float32 rotations and face channels."""
         index = [motion.skeleton.index(name) for name in self.joints]
         rows = sixd_from_quaternion(motion.rotations[:, index]).reshape(motion.n_frames, -1)
         if self.face and motion.face is not None:
             rows = np.concatenate([rows, motion.face.values], axis=1)
-        return torch.from_numpy(np.ascontiguousarray(rows.T)).float()
+        return rows.astype(np.float32)
 
-    def applied(self, motion: Motion, values: Callable[[slice], Tensor]) -> Motion:
+    def applied(self, motion: Motion, values: Callable[[slice], np.ndarray]) -> Motion:
         """Return the motion (T frames) with these channels.
 
         Args:
             motion: on the rig.
-            values: returns the channels (6 F + E, N) of a range of its frames.
+            values: returns the channels (N, 6 F + E) of a range of its frames.
         """
         rotations = motion.rotations.copy()
         index = [motion.skeleton.index(name) for name in self.joints]
         face = np.empty((motion.n_frames, len(self.face)))
         for start in range(0, motion.n_frames, _FRAMES_AT_ONCE):
             frames = slice(start, min(start + _FRAMES_AT_ONCE, motion.n_frames))
-            rows = values(frames).T.double().numpy()
+            rows = values(frames).astype(float)
             if index:
                 sixd = rows[:, : 6 * len(index)].reshape(len(rows), len(index), 6)
                 rotations[frames, index] = quaternion_from_sixd(sixd)
@@ -102,25 +103,12 @@ _FORGETTING = 0.9
 """Decay of the count of uses with each piece."""
 
 
-class _Choice(NamedTuple):
-    """Lengths and weights by which pieces are chosen.
+_WHOLE = 2.0, 0.4, 24.0, 3.0
+_PASSIVE = 4.0, 0.8, 12.0, 40.0
+"""Seconds of a piece and of the cross-fade into it, which belongs to both pieces; and weights of
+mean squared differences, in standard deviations: of states, and of poses in the cross-fade.
 
-    Attributes:
-        seconds: length of a piece.
-        fade: seconds of the cross-fade into a piece, which belong to both.
-        state: weight of the mean squared difference of the states, in standard deviations.
-        continuity: the same of the poses in the cross-fade.
-    """
-
-    seconds: float
-    fade: float
-    state: float
-    continuity: float
-
-
-_WHOLE = _Choice(2.0, 0.4, 24.0, 3.0)
-_PASSIVE = _Choice(4.0, 0.8, 12.0, 40.0)
-"""Fingers have to be as calm as recorded, and hardly to move at given times: each cross-fade adds
+Fingers have to be as calm as recorded, and hardly to move at given times: each cross-fade adds
 movement. Chosen on ZeroEGGS 067, by the quantiles of the fingers' angular speed."""
 
 
@@ -142,113 +130,63 @@ class RecordedMotion:
     speaker: str | None
     style: int
 
-    @property
-    def channels(self) -> np.ndarray:
-        """(T, D + X): all that is played."""
-        return torch.cat([self.motion, self.passive]).T.numpy()
 
-
-@dataclass(frozen=True, eq=False)
 class RecordedLibrary:
     """Recorded motion of a model, and the search for its pieces.
 
-    Attributes:
+    Args:
         fps: frames per second.
         passive: joints and face channels that are not modelled.
         recordings: at least one.
+
+    Attributes:
+        is_whole: True if whole bodies are played.
+        piece: frames of a piece.
+        fade: frames of the cross-fade into a piece.
+        hop: frames from one piece to the next.
+        played: (N, D + X) float32, all recordings, one after another.
+        starts: (S,) the frames at which a piece can begin, numbered across all recordings.
+        recording_of: (S,) the recording of each of the `starts`.
+        states: (S, (C + 1) P) float32, the state over the piece at each of the `starts`.
     """
 
-    fps: float
-    passive: PassiveChannels
-    recordings: tuple[RecordedMotion, ...]
-
-    @property
-    def is_whole(self) -> bool:
-        """True if whole bodies are played."""
-        return len(self.recordings[0].motion) > 0
-
-    @property
-    def _choice(self) -> _Choice:
-        return _WHOLE if self.is_whole else _PASSIVE
-
-    @cached_property
-    def piece(self) -> int:
-        """Frames of a piece."""
-        longest = max(each.state.shape[1] for each in self.recordings)
-        return max(1, min(round(self._choice.seconds * self.fps), longest))
-
-    @cached_property
-    def fade(self) -> int:
-        """Frames of the cross-fade into a piece."""
-        return min(round(self._choice.fade * self.fps), self.piece // 2)
-
-    @property
-    def hop(self) -> int:
-        """Frames from one piece to the next."""
-        return self.piece - self.fade
-
-    @cached_property
-    def played(self) -> np.ndarray:
-        """(N, D + X) float32: all recordings, one after another."""
-        return np.concatenate([each.channels for each in self.recordings])
-
-    @cached_property
-    def starts(self) -> np.ndarray:
-        """(S,) the frames at which a piece can begin, numbered across all recordings."""
-        first = np.cumsum([0, *(each.state.shape[1] for each in self.recordings)])
-        pairs = zip(first, self._usable, strict=False)
-        return np.concatenate([a + np.arange(n) for a, n in pairs])
-
-    @cached_property
-    def recording_of(self) -> np.ndarray:
-        """(S,) the recording of each of the `starts`."""
-        return np.repeat(np.arange(len(self.recordings)), self._usable)
-
-    @property
-    def _usable(self) -> list[int]:
-        """Number of the frames of each recording at which a piece can begin."""
-        return [max(0, each.state.shape[1] - self.piece + 1) for each in self.recordings]
-
-    @cached_property
-    def _pooled(self) -> np.ndarray:
-        """(C + 1, N): the states of all recordings, one after another."""
-        return np.concatenate([each.state.numpy() for each in self.recordings], axis=1)
-
-    @cached_property
-    def states(self) -> np.ndarray:
-        """(S, (C + 1) P) float32: the state over the piece at each of the `starts`."""
-        total = np.cumsum(np.pad(self._in_deviations(self._pooled), ((0, 0), (1, 0))), axis=1)
-        edges = self._edges
-        means = [
-            (total[:, self.starts + b] - total[:, self.starts + a]) / (b - a)
-            for a, b in zip(edges, edges[1:], strict=False)
-        ]
-        return np.concatenate(means).T.astype(np.float32)
-
-    @property
-    def _edges(self) -> np.ndarray:
-        return np.unique(np.linspace(0, self.piece, _POINTS + 1).round().astype(int))
-
-    @cached_property
-    def _usual(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation of the states, (C + 1, 1)."""
-        pooled = self._pooled
-        return pooled.mean(axis=1, keepdims=True), np.maximum(pooled.std(axis=1), 1e-3)[:, None]
-
-    def _in_deviations(self, state: np.ndarray) -> np.ndarray:
-        mean, size = self._usual
-        return (state - mean) / size
-
-    @cached_property
-    def _sizes(self) -> np.ndarray:
-        """(D + X,) standard deviation of each channel that is played."""
-        return np.maximum(self.played.std(axis=0), 1e-3)
+    def __init__(
+        self, fps: float, passive: PassiveChannels, recordings: tuple[RecordedMotion, ...]
+    ) -> None:
+        self.fps, self.passive, self.recordings = fps, passive, recordings
+        self.is_whole = len(recordings[0].motion) > 0
+        choice = _WHOLE if self.is_whole else _PASSIVE
+        seconds, fade, self._state_weight, self._break_weight = choice
+        lengths = [each.state.shape[1] for each in recordings]
+        self.piece = max(1, min(round(seconds * fps), max(lengths)))
+        self.fade = min(round(fade * fps), self.piece // 2)
+        self.hop = self.piece - self.fade
+        usable = [max(0, n - self.piece + 1) for n in lengths]
+        first = np.cumsum([0, *lengths])
+        self.starts = np.concatenate(
+            [a + np.arange(n) for a, n in zip(first, usable, strict=False)]
+        )
+        self.recording_of = np.repeat(np.arange(len(recordings)), usable)
+        self.played = np.concatenate(
+            [torch.cat([each.motion, each.passive]).T.numpy() for each in recordings]
+        )
+        self._sizes = np.maximum(self.played.std(axis=0), 1e-3)
+        pooled = np.concatenate([each.state.numpy() for each in recordings], axis=1)
+        self._mean = pooled.mean(axis=1, keepdims=True)
+        self._deviation = np.maximum(pooled.std(axis=1), 1e-3)[:, None]
+        total = (pooled - self._mean) / self._deviation
+        total = np.cumsum(np.pad(total, ((0, 0), (1, 0))), axis=1)
+        edges = np.unique(np.linspace(0, self.piece, _POINTS + 1).round().astype(int))
+        self._edges = [*pairwise(edges.tolist())]
+        at = self.starts
+        means = [(total[:, at + b] - total[:, at + a]) / (b - a) for a, b in self._edges]
+        self.states = np.concatenate(means).T.astype(np.float32)
 
     def distances(self, state: np.ndarray) -> np.ndarray:
         """Return the cost (S,) of each start for a drawn state (C + 1, piece)."""
-        edges, rows = self._edges, self._in_deviations(state)
-        means = [rows[:, a:b].mean(axis=1) for a, b in zip(edges, edges[1:], strict=False)]
-        return self._choice.state * np.square(self.states - np.concatenate(means)).mean(axis=1)
+        rows = (state - self._mean) / self._deviation
+        means = np.concatenate([rows[:, a:b].mean(axis=1) for a, b in self._edges])
+        return self._state_weight * np.square(self.states - means).mean(axis=1)
 
     def breaks(self, shown: int) -> np.ndarray:
         """Return the cost (S,) of each start for the poses after a frame that is shown."""
@@ -258,7 +196,7 @@ class RecordedLibrary:
         for offset, pose in zip(span, after, strict=True):
             away = (self.played[self.starts + offset] - pose) / self._sizes
             total += np.square(away).mean(axis=1)
-        return self._choice.continuity * total / len(span)
+        return self._break_weight * total / len(span)
 
     def allowed(self, speaker: str | None, style: int | None) -> np.ndarray:
         """Return (S,) bool, the starts with this style and speaker, as far as there are any."""
@@ -272,18 +210,24 @@ class RecordedLibrary:
 
 
 class Resumable:
-    """Part of a stream that can go on from where another one was."""
+    """Part of a stream that can go on from where another one was; its parts are such too."""
 
     kept: ClassVar[tuple[str, ...]]
 
     def state(self) -> dict[str, Any]:
-        """Return what `restore` needs."""
-        return {name: getattr(self, name) for name in self.kept}
+        """Return what `restore` needs, as numbers and arrays."""
+        parts = {name: getattr(self, name) for name in self.kept}
+        return copy.deepcopy(
+            {name: p.state() if hasattr(p, "restore") else p for name, p in parts.items()}
+        )
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from the `state` of one with the same arguments."""
-        for name in self.kept:
-            setattr(self, name, state[name])
+        for name, value in copy.deepcopy(dict(state)).items():
+            if hasattr(part := getattr(self, name), "restore"):
+                part.restore(value)
+            else:
+                setattr(self, name, value)
 
 
 class PieceSequence(Resumable):
@@ -294,6 +238,9 @@ class PieceSequence(Resumable):
         rng_of: random generator of a piece, by its number; -1 for where the first one begins.
         speaker: use only this speaker's recordings, if there are any; None for all.
         style: number of the style of each frame, by its number; None for any.
+
+    Attributes:
+        is_whole: True if whole bodies are played.
     """
 
     kept = ("_chosen", "_used")
@@ -305,7 +252,7 @@ class PieceSequence(Resumable):
         speaker: str | None,
         style: Callable[[int], int] | None,
     ) -> None:
-        self._library, self._rng_of = library, rng_of
+        self._library, self._rng_of, self.is_whole = library, rng_of, library.is_whole
         self._speaker, self._style = speaker, style
         # Pieces meet elsewhere with every seed, so that other ones are chosen.
         self._first = int(torch.randint(library.hop, (), generator=rng_of(-1)))
@@ -351,6 +298,15 @@ class PieceSequence(Resumable):
         share = share[:, None].astype(np.float32)
         return share * shown + (1 - share) * library.played[before]
 
+    def with_passive(self, motion: Motion, first: int) -> Motion:
+        """Return a motion with the fingers and the face of the pieces from frame `first` on."""
+        passive, columns = self._library.passive, len(self._library.recordings[0].motion)
+
+        def values(frames: slice) -> np.ndarray:
+            return self.values(np.arange(frames.start, frames.stop) + first)[:, columns:]
+
+        return motion if passive.is_empty else passive.applied(motion, values)
+
 
 def played_pieces(
     library: RecordedLibrary,
@@ -375,21 +331,6 @@ def played_pieces(
         frames = np.clip(pieces.next_frame + np.arange(library.piece), 0, last)
         pieces.choose(state[:, frames])
     return pieces
-
-
-def played_passive(
-    library: RecordedLibrary, pieces: PieceSequence, motion: Motion, first: int
-) -> Motion:
-    """Return a motion with the fingers and the face of pieces, from their frame `first` on."""
-    if library.passive.is_empty:
-        return motion
-    n_motion = len(library.recordings[0].motion)
-
-    def values(frames: slice) -> Tensor:
-        shown = np.arange(frames.start, frames.stop) + first
-        return torch.from_numpy(pieces.values(shown)[:, n_motion:].T)
-
-    return library.passive.applied(motion, values)
 
 
 _CURVES = ("state", "motion", "passive")
@@ -449,10 +390,9 @@ def load_library(
         )
         for i, (speaker, style) in enumerate(values["recordings"])
     )
-    library = RecordedLibrary(float(parts.config["fps"]), passive, recordings)
     sizes = {
         "state": n_channels + 1,
-        "motion": representation.n_features if library.is_whole else 0,
+        "motion": representation.n_features if len(recordings[0].motion) else 0,
         "passive": 6 * len(passive.joints) + len(passive.face),
     }
     for i, recording in enumerate(recordings):
@@ -464,4 +404,4 @@ def load_library(
                 raise ValueError(
                     f"recorded.{i}.{name} has the shape {shape}, not {size} rows of finite numbers"
                 )
-    return library
+    return RecordedLibrary(float(parts.config["fps"]), passive, recordings)

@@ -12,12 +12,10 @@ import gesturekit as gk
 from gesturekit.errors import ConfigError
 from gesturekit.multires import MultiresGenerator, train
 from gesturekit.multires.backend import VARIABLE
-from gesturekit.multires.conditions import LevelConditions
 from gesturekit.multires.config import NetworkConfig
-from gesturekit.multires.layers import modulated_blocks
 from gesturekit.multires.motion_vector import MultiresRepresentation
-from gesturekit.multires.networks import LevelGenerator
-from gesturekit.multires.pyramid import sample
+from gesturekit.multires.networks import LevelGenerator, modulated_blocks
+from gesturekit.multires.pyramid import LevelConditions, sample
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from gesturekit.multires import (
     train,
 )
 from gesturekit.multires.backend import VARIABLE, requested_backend
-from gesturekit.multires.layers import SkeletonConv1d
+from gesturekit.multires.networks import SkeletonConv1d
 
 ENGINE = "gesturekit.multires.cpu.engine"
 LAYER = torch.nn.Conv1d(1, 1, 1)

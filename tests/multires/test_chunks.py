@@ -11,8 +11,7 @@ import gesturekit as gk
 from gesturekit.evaluation import arm_speed
 from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
 from gesturekit.multires.backend import VARIABLE
-from gesturekit.multires.conditions import LevelConditions, condition_levels
-from gesturekit.multires.pyramid import sample
+from gesturekit.multires.pyramid import LevelConditions, condition_levels, sample
 
 LEVELS, FEATURES = 4, 3
 

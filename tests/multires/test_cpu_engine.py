@@ -13,11 +13,14 @@ from gesturekit.multires import (
     MultiresRepresentation,
     NetworkConfig,
 )
-from gesturekit.multires.layers import SkeletonConv1d, block_neighbours, convolve_dense
-from gesturekit.multires.networks import TorchBackend
+from gesturekit.multires.networks import (
+    SkeletonConv1d,
+    TorchBackend,
+    block_neighbours,
+    convolve_dense,
+)
 
 engine = pytest.importorskip("gesturekit.multires.cpu.engine", reason="the CPU engine is absent")
-sparse_conv = pytest.importorskip("gesturekit.multires.cpu.sparse_conv")
 
 NUMBA, TORCH = engine.NumbaBackend("test"), TorchBackend("test")
 
@@ -107,7 +110,7 @@ def test_results_do_not_depend_on_the_batch_nor_on_threads(representation):
             again = made(windows, gradient)
             for one, other in zip(again, (whole, by_input, by_weight), strict=True):
                 assert torch.equal(one, other)
-            with sparse_conv.threads_for_kernels():
+            with engine.threads_for_kernels():
                 assert torch.get_num_threads() == 1
                 assert torch.equal(made(windows, gradient)[0], whole)
             assert torch.get_num_threads() == count

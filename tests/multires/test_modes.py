@@ -18,7 +18,7 @@ from gesturekit.errors import CorpusError, ModelError
 from gesturekit.inspection import inspect
 from gesturekit.motion.rotations import multiply_quaternions
 from gesturekit.multires import MultiresControls, train
-from gesturekit.multires.conditions import agreed_style, mixed_styles, requested_styles
+from gesturekit.multires.pyramid import agreed_style, mixed_styles, requested_styles
 from gesturekit.multires.training.trainer import Trainer
 from gesturekit.training.session import session
 

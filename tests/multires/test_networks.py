@@ -16,16 +16,14 @@ from gesturekit.errors import ConfigError, ModelError
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import upper_body
 from gesturekit.multires import MultiresGenerator, MultiresRepresentation, NetworkConfig
-from gesturekit.multires.layers import (
+from gesturekit.multires.networks import (
+    Film,
     SkeletonConv1d,
     block_neighbours,
     modulated_blocks,
     n_weights,
-    reflect,
-    resample,
-    resample_part,
 )
-from gesturekit.multires.networks import Film
+from gesturekit.multires.resampling import reflect, resample
 from gesturekit.systems import model_folder
 
 CONFIG = NetworkConfig(levels=3, channels=(3, 3), embedding=8)
@@ -62,7 +60,7 @@ def test_resampling_is_torchs_own_linear_interpolation(exact):
         gradients = [torch.autograd.grad(each, x, by)[0] for each in (made, want)]
         torch.testing.assert_close(*gradients, **close)
         if exact == torch.float32:
-            part = resample_part(x.detach(), n, 2, n - 1)
+            part = resample(x.detach(), n, 2, n - 1)
             assert torch.equal(made[..., 2 : n - 1].detach(), part)
 
 

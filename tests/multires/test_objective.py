@@ -142,14 +142,14 @@ def test_losses_of_a_random_step_are_those_of_the_middle_of_each_level(stage_of,
         }
         if stride < 2.05:
             own["smoothness"] = losses.smoothness(measure.bend(values, places, stride))
-        aim = stage.targets[i].arms(windows.speech[i])[..., margin : margin + n]
+        aim = stage.arms[i](windows.speech[i])[..., margin : margin + n]
         apart = (movement_of(stage, motion, stride) - aim).abs().mean(dim=(0, 2))
         own["arm_speed"], own["arm_acceleration"] = apart
         if first + i:
             below = windows.coarser if i == 0 else made[0]
             own["coarse"] = (resample(level, below.shape[-1]) - below).abs().mean()
             styles = torch.zeros(len(motion), dtype=torch.long)
-            own["detail"] = stage.targets[i].detail(places, styles)
+            own["detail"] = stage.details[first + i](places, styles)
         for name, value in own.items():
             expected[name] += WEIGHTS[name] * float(value.detach())
     report = stage.iterate(0)

@@ -17,6 +17,7 @@ from gesturekit.errors import ModelError
 from gesturekit.motion.concatenation import stacked
 from gesturekit.motion.rotations import rotation_angles
 from gesturekit.multires import MultiresGenerator
+from gesturekit.multires.retrieval import RecordedLibrary
 
 
 @pytest.fixture(scope="module")
@@ -199,8 +200,9 @@ def test_a_stream_has_one_style(state_model):
     conditions = replace(state_model.conditions, styles=("calm", "glad"))
     config = state_model.network_config
     network = MultiresGenerator(state_model.representation, conditions.width, config).eval()
-    own = [replace(one, style=k) for k, one in enumerate(state_model.library.recordings)]
-    library = replace(state_model.library, recordings=tuple(own))
+    known = state_model.library
+    own = [replace(one, style=k) for k, one in enumerate(known.recordings)]
+    library = RecordedLibrary(known.fps, known.passive, tuple(own))
     styled = replace(state_model, network=network, conditions=conditions, library=library)
 
     def begun(**choice) -> gk.Motion:

@@ -14,8 +14,8 @@ from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotatio
 from gesturekit.motion.skeleton import GROUND
 from gesturekit.multires import MultiresGenerator
 from gesturekit.multires.pyramid import generated
-from gesturekit.multires.stream import FootHold
-from gesturekit.multires.stream_window import (
+from gesturekit.multires.stream import (
+    FootHold,
     Forecast,
     LiveState,
     SpeechStream,

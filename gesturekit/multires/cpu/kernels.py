@@ -1,7 +1,7 @@
 """Compiled kernels of the CPU engine.
 
 Signals are (C, width) float32 arrays: each channel's windows stand one after another, as
-`sparse_conv.Packing` lays them out. All kernels are in this file, as numba's cache does not notice
+`engine.Packing` lays them out. All kernels are in this file, as numba's cache does not notice
 that a function in another file has changed. "contract" allows fused multiply-adds; `SUMS` also
 allows any order of the sums over time, which vectorises them.
 """
@@ -44,28 +44,11 @@ class Plan(NamedTuple):
     inputs: np.ndarray
 
 
-class Shape(NamedTuple):
-    """Number and length of the packed windows.
-
-    Attributes:
-        batch: B, number of windows.
-        n_frames: T, frames of each.
-    """
-
-    batch: int
-    n_frames: int
-
-
-class Rectifier(NamedTuple):
-    """Leaky rectifier after a convolution.
-
-    Attributes:
-        slope: of negative values; 1 for none.
-        gate: (C, width), scale by the slope where it is not above 0; (0, width) to use the output.
-    """
-
-    slope: float | np.floating
-    gate: np.ndarray
+Shape = tuple[int, int]
+"""Number of the packed windows, and frames of each."""
+Rectifier = tuple[np.floating, np.ndarray]
+"""Leaky rectifier after a convolution: slope of negative values, 1 for none, and array (C, width)
+by which it scales where that is not above 0; (0, width) for the output itself."""
 
 
 @compiled()
@@ -147,31 +130,6 @@ def _fold(window: np.ndarray, n_frames: int) -> None:
         window[PADDING + k] += window[before]
         window[PADDING + n_frames - 1 - k] += window[after]
         window[before] = window[after] = 0
-
-
-@compiled()
-def pack(windows: np.ndarray, signal: np.ndarray, reflect: bool) -> None:
-    """Write windows (B, C, T) into a signal (C, width), padded by reflection or by zeros."""
-    batch, channels, n_frames = windows.shape
-    signal[:] = 0
-    for c in range(channels):
-        for b in range(batch):
-            row = signal[c, START - PADDING + b * (n_frames + 2 * PADDING) :]
-            for t in range(n_frames):
-                row[PADDING + t] = windows[b, c, t]
-            if reflect:
-                _reflect(row, n_frames)
-
-
-@compiled()
-def unpack(signal: np.ndarray, windows: np.ndarray) -> None:
-    """Write the frames of a signal (C, width) into windows (B, C, T)."""
-    batch, channels, n_frames = windows.shape
-    for c in range(channels):
-        for b in range(batch):
-            row = signal[c, START + b * (n_frames + 2 * PADDING) :]
-            for t in range(n_frames):
-                windows[b, c, t] = row[t]
 
 
 @compiled()

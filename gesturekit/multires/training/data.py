@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,10 +19,10 @@ from torch import Tensor
 
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.motion.skeleton import Skeleton
-from gesturekit.multires.conditions import Conditions
 from gesturekit.multires.config import MultiresConfig, NetworkConfig
-from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.pyramid import Conditions
+from gesturekit.multires.resampling import reflect, resample
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.state.channels import StateChannels
 from gesturekit.training.arrays import Array, ArrayFolder, Frames, StoredFrames
@@ -44,9 +44,8 @@ from gesturekit.training.seeds import rng_for
 
 Cut = tuple[int, int, int]
 """Index of a paired sequence, first frame and end."""
-Labels = tuple[str, int, str | None, str]
-"""Name, number of the style, speaker and take of a sequence."""
-_LABELS = ("names", "style_of", "speaker_of", "take_of")
+_LABELS = {"names": "name", "style_of": "style", "speaker_of": "speaker", "take_of": "take"}
+"""Entries of the saved data: an attribute of each paired sequence."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,6 @@ class PairedSequence:
         speaker: its speaker; None if the corpus names none.
         take: its recording session, see `gesturekit.corpus.Item`.
     """
-
-    TENSORS: ClassVar[tuple[str, ...]] = ("motion", "speech", "sigma", "z_star", "passive")
 
     name: str
     network: NetworkConfig
@@ -184,15 +181,15 @@ class CorpusFrames(NamedTuple):
             normaliser: of motion vectors.
             conditioner: of speech features; None without speech input.
         """
-        width, motion, spoken = len(normaliser.mean), arrays["motion"], list[Frames]()
+        width, motion = len(normaliser.mean), arrays["motion"]
         lengths = [array.shape[0] for array in motion]
-        if conditioner is not None:
-            lengths = [min(n, a.shape[0]) for n, a in zip(lengths, arrays["speech"], strict=True)]
-            everything = [*arrays["speech"], *arrays["unpaired"]]
-            all_lengths = [*lengths, *(array.shape[0] for array in arrays["unpaired"])]
-            spoken += speech_frames(everything, conditioner, all_lengths)
+        if conditioner is None:
+            spoken: list[Frames] = [torch.empty(0, n_frames) for n_frames in lengths]
         else:
-            spoken += [torch.empty(0, n_frames) for n_frames in lengths]
+            lengths = [min(n, a.shape[0]) for n, a in zip(lengths, arrays["speech"], strict=True)]
+            all_lengths = [*lengths, *(array.shape[0] for array in arrays["unpaired"])]
+            everything = [*arrays["speech"], *arrays["unpaired"]]
+            spoken = [*speech_frames(everything, conditioner, all_lengths)]
 
         def vectors(rows: np.ndarray) -> Tensor:
             values = torch.from_numpy(np.ascontiguousarray(rows[:, :width]))
@@ -216,41 +213,21 @@ class CorpusFrames(NamedTuple):
 
 def paired_sequences(
     config: MultiresConfig,
-    labels: Sequence[Labels],
+    labels: Sequence[Mapping[str, Any]],
     frames: CorpusFrames,
     sigmas: Sequence[Tensor | None],
 ) -> tuple[PairedSequence, ...]:
-    """Return the recordings with their labels and noise scales (L,); None computes these."""
+    """Return the recordings with their labels and noise scales (L,); None computes these.
+
+    Labels are name, style, speaker and take of each.
+    """
+    make = partial(PairedSequence.make, network=config.network, seed=config.seed)
+    make = partial(make, full_noise=config.z_star == "full")
     channels = zip(labels, frames.motion, frames.speech, frames.passive, sigmas, strict=True)
     return tuple(
-        PairedSequence.make(
-            name,
-            motion,
-            speech,
-            config.network,
-            config.seed,
-            full_noise=config.z_star == "full",
-            sigma=sigma,
-            passive=passive,
-            style=style,
-            speaker=speaker,
-            take=take,
-        )
-        for (name, style, speaker, take), motion, speech, passive, sigma in channels
+        make(motion=motion, speech=speech, passive=passive, sigma=sigma, **label)
+        for label, motion, speech, passive, sigma in channels
     )
-
-
-def trained_conditions(
-    config: MultiresConfig,
-    representation: MultiresRepresentation,
-    conditioner: SpeechConditioner | None,
-    styles: Sequence[str],
-) -> Conditions:
-    """Return the inputs of a run's model beside noise."""
-    state = None
-    if config.state:
-        state = StateChannels.find(representation.skeleton, representation.joints)
-    return Conditions(conditioner, tuple(styles), config.residual, state)
 
 
 def transposed(rows: np.ndarray) -> Tensor:
@@ -320,34 +297,26 @@ class TrainingData:
 
         Of recordings on disk, the names of their arrays are written.
         """
-        unpaired = () if self.unpaired_is_paired else self.unpaired
         channels: dict[str, list[Any]] = {
             **{name: [getattr(s, name) for s in self.paired] for name in CorpusFrames._fields[:3]},
-            "unpaired": list(unpaired),
+            "unpaired": [] if self.unpaired_is_paired else [*self.unpaired],
         }
+        conditioner, passive, stored = self.conditions.conditioner, self.passive, None
         tensors = {
             "silence": self.silence,
             "sigma": torch.stack([sequence.sigma for sequence in self.paired]),
-            **fitted_tensors(self.normaliser, self.conditions.conditioner, None),
+            **fitted_tensors(self.normaliser, conditioner, None),
             **start_tensors(self.start),
         }
-        stored = None
         if self.is_stored:
             arrays = ("motion", "speech", "unpaired") if self.n_speech else ("motion",)
             stored = {name: [frames.key for frames in channels[name]] for name in arrays}
         else:
-            tensors |= {
-                f"{name}.{i}": frames.contiguous()
-                for name, recordings in channels.items()
-                for i, frames in enumerate(recordings)
-            }
-        conditioner, passive = self.conditions.conditioner, self.passive
+            for name, recordings in channels.items():
+                tensors |= {f"{name}.{i}": each.contiguous() for i, each in enumerate(recordings)}
         about = {
-            "names": [sequence.name for sequence in self.paired],
-            "style_of": [sequence.style for sequence in self.paired],
-            "speaker_of": [sequence.speaker for sequence in self.paired],
-            "take_of": [sequence.take for sequence in self.paired],
-            "unpaired": len(unpaired),
+            **{key: [getattr(s, name) for s in self.paired] for key, name in _LABELS.items()},
+            "unpaired": len(channels["unpaired"]),
             "features": None if conditioner is None else conditioner_values(conditioner),
             "styles": self.conditions.styles,
             "sources": [*map(asdict, self.sources)],
@@ -380,28 +349,26 @@ class TrainingData:
                 conditioner = load_conditioner(
                     about["features"], tensors, config.fps, places, device
                 )
-            labels = list(zip(*(about[key] for key in _LABELS), strict=True))
+            rows = zip(*(about[key] for key in _LABELS), strict=True)
+            labels = [dict(zip(_LABELS.values(), row, strict=True)) for row in rows]
             if about["stored"] is None:
                 counts = (*[len(labels)] * 3, about["unpaired"])
-                frames = CorpusFrames(
-                    *(
-                        [tensors[f"{name}.{i}"] for i in range(count)]
-                        for name, count in zip(CorpusFrames._fields, counts, strict=True)
-                    )
-                )
+                kept = zip(CorpusFrames._fields, counts, strict=True)
+                frames = CorpusFrames(*([tensors[f"{k}.{i}"] for i in range(n)] for k, n in kept))
             else:
                 find = ArrayFolder(config.arrays_folder).find_all
                 arrays = {name: find(keys) for name, keys in about["stored"].items()}
                 frames = CorpusFrames.of(arrays, normaliser, conditioner)
-            joints, face = about["passive"]
-            sampled = about["sampled"]
+            known, (joints, face), sampled = about["styles"], about["passive"], about["sampled"]
+            find = StateChannels.find
+            state = find(skeleton, representation.joints) if config.state else None
             return cls(
                 paired=paired_sequences(config, labels, frames, list(tensors["sigma"])),
                 unpaired=tuple(frames.unpaired or frames.speech),
                 silence=tensors["silence"],
                 window=about["window"],
                 representation=representation,
-                conditions=trained_conditions(config, representation, conditioner, about["styles"]),
+                conditions=Conditions(conditioner, tuple(known), config.residual, state),
                 normaliser=normaliser,
                 speakers=read_speakers(about),
                 sources=from_values(about["sources"]),

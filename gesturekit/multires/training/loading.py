@@ -9,8 +9,7 @@ import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,10 +23,11 @@ from gesturekit.motion.parts import find_legs, find_parts, is_upper_body, uniden
 from gesturekit.motion.root_path import heading
 from gesturekit.motion.skeleton import Skeleton
 from gesturekit.multires.backend import requested_backend
-from gesturekit.multires.config import MultiresConfig, NetworkConfig
-from gesturekit.multires.layers import modulated_blocks
+from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.motion_vector import MultiresRepresentation, Normaliser
+from gesturekit.multires.networks import modulated_blocks
+from gesturekit.multires.pyramid import Conditions
 from gesturekit.multires.retrieval import PassiveChannels
 from gesturekit.multires.training.data import (
     CorpusFrames,
@@ -35,9 +35,9 @@ from gesturekit.multires.training.data import (
     TrainingData,
     level_sigmas,
     paired_sequences,
-    trained_conditions,
     transposed,
 )
+from gesturekit.state.channels import StateChannels
 from gesturekit.training.arrays import Array, ArrayInMemory, Maker, stored_arrays
 from gesturekit.training.config import to_dict
 from gesturekit.training.features import SpeechArrays, conditioner_values, feature_values
@@ -56,56 +56,58 @@ def load_training_data(
     normalise. The data of a long corpus stay on disk, and statistics are those of a sample.
 
     Raises:
-        ConfigError: settings that the recordings do not allow, or a model in `start_from` with
-            another rig, other settings or other conditions.
+        ConfigError: settings that the recordings do not allow, or other ones than those of a model
+            in `start_from`.
         ModelError: such a model cannot be read.
         CorpusError: no training item with what the mode needs, rigs that differ, or a file that
             cannot be read.
     """
     requested_backend(config.backend)  # a wrong one is refused before the run folder is made
     # Wrong extractor settings are reported before any file is read.
-    features = config.features
+    features, state, passive = config.features, None, PassiveChannels()
     speech = None if features is None else SpeechArrays.open(features, config.fps, device)
     start = load_start(config, speech)
     parts = config.parts if start is None else {**start.skeleton.parts, **config.parts}
     recordings = read_recordings(config, start, parts, trial=trial)
     motions = [motion.resample(config.fps) for motion in recordings.motions]
     representation = _representation(config, motions, start)
-    passive = PassiveChannels()
     if config.state:
+        state = StateChannels.find(representation.skeleton, representation.joints)
         passive = PassiveChannels.find(motions, representation.joints)
     rig = recordings.rig(config, parts)
     maker = MotionArrays(rig, representation, passive, config.fps, config.face_forward)
     made = [maker.encode(*pair) for pair in zip(recordings.read, motions, strict=True)]
-    vectors = [rows[:, : representation.n_features] for rows in made]
-    normaliser = _normaliser(config, vectors, representation, start)
+    normaliser = _normaliser(config, made, representation, start)
+    if recordings.excerpts is not None:
+        del motions, made[:]  # the sample is read again, from the arrays
+    arrays = _arrays(config, recordings, maker, made, speech)
+    sampled, clips = _sample(config, recordings, arrays)
     known = None if start is None else start.conditions.conditioner
-    if recordings.excerpts is None:
-        motion = [ArrayInMemory(rows, {}) for rows in made]
-        corpus = _in_memory(recordings, motion, normaliser, speech, known)
-    else:
-        del motions, made, vectors  # the sample is read again, from the arrays
-        corpus = _on_disk(config, recordings, maker, normaliser, speech, known)
+    conditioner = None if speech is None else speech.fit(clips, known)
+    frames = CorpusFrames.of(arrays, normaliser, conditioner)
+    frames = frames.in_memory() if sampled is None else frames
+    cuts = [frames.motion[i][:, start:stop][None] for i, start, stop in sampled or ()]
+    sigmas = [level_sigmas(cut, config.network) for cut in cuts]
+    sigma = torch.stack(sigmas).mean(dim=0) if sigmas else None
     labels = [
-        (item.id, style, item.speaker, item.take)
+        {"name": item.id, "style": style, "speaker": item.speaker, "take": item.take}
         for item, style in zip(recordings.items, recordings.style_of, strict=True)
     ]
-    frames, conditioner = corpus.frames, corpus.conditioner
     return TrainingData(
-        paired=paired_sequences(config, labels, frames, corpus.sigmas),
+        paired=paired_sequences(config, labels, frames, [sigma] * len(labels)),
         unpaired=tuple(frames.unpaired or frames.speech),
         silence=_silence(config, frames, conditioner),
         window=_window(config),
         representation=representation,
-        conditions=trained_conditions(config, representation, conditioner, recordings.styles),
+        conditions=Conditions(conditioner, tuple(recordings.styles), config.residual, state),
         normaliser=normaliser,
         speakers=recordings.speakers,
-        sources=recordings.sources(corpus.rates),
+        sources=recordings.sources([array.facts["fps"] for array in arrays["motion"]]),
         recorded_fps=recordings.recorded_fps,
         passive=passive,
         start={} if start is None else start.network.state_dict(),
         spoken=(recordings.lengths[1], len(recordings.whole[1])),
-        sampled=corpus.sampled,
+        sampled=sampled,
     )
 
 
@@ -116,13 +118,23 @@ def read_recordings(
     *,
     trial: bool,
 ) -> Recordings:
-    """Read the recordings; a model to start from has their styles, and maybe more."""
+    """Read the recordings; a model to start from has their styles, and maybe more.
+
+    Raises:
+        ConfigError: a style that this model does not know, or only one of them has styles.
+    """
+
+    def check_styles(styles: Sequence[str]) -> None:
+        if start is not None and config.start_from is not None:
+            known, wanted = {"styles": list(start.styles)}, {"styles": list(styles)}
+            check_conditions(config.start_from, known, wanted)
+
     recordings = load_recordings(
         config,
         config.parts if parts is None else parts,
         speech=config.features is not None,
         styles=config.styles is not None,
-        check_styles=lambda styles: check_styles(start, config, styles),
+        check_styles=check_styles,
         trial=trial,
     )
     if start is None:
@@ -153,16 +165,16 @@ def _representation(
 
 def _normaliser(
     config: MultiresConfig,
-    vectors: Sequence[np.ndarray],
+    made: Sequence[np.ndarray],
     representation: MultiresRepresentation,
     start: MultiresModel | None,
 ) -> Normaliser:
     """Return the normaliser of a model to start from, or fit one if the run has one."""
+    width = representation.n_features
     if start is not None:
         return start.normaliser
     if config.normalise:
-        return Normaliser.fit(vectors, representation, config.fps)
-    width = representation.n_features
+        return Normaliser.fit([rows[:, :width] for rows in made], representation, config.fps)
     return Normaliser(torch.zeros(width), torch.ones(width))
 
 
@@ -212,81 +224,57 @@ class MotionArrays:
             vectors = self.representation.encode(motion, turn=turn)
         except ValueError as error:
             raise CorpusError(f"{self.rig.corpus}: item {item.id}: {error}") from None
-        return np.concatenate([vectors, self.passive.encode(motion).numpy().T], axis=1)
+        return np.concatenate([vectors, self.passive.encode(motion)], axis=1)
 
 
-class _Corpus(NamedTuple):
-    """Channels of a corpus, and what goes with them.
-
-    Attributes:
-        frames: in memory or on disk.
-        conditioner: of its speech features; None without speech input.
-        sigmas: (L,) noise scales of each recording; None to compute them.
-        rates: frame rate of each recording's file.
-        sampled: see `TrainingData`.
-    """
-
-    frames: CorpusFrames
-    conditioner: SpeechConditioner | None
-    sigmas: Sequence[Tensor | None]
-    rates: Sequence[float]
-    sampled: tuple[Cut, ...] | None = None
-
-
-def _in_memory(
-    recordings: Recordings,
-    motion: Sequence[ArrayInMemory],
-    normaliser: Normaliser,
-    speech: SpeechArrays | None,
-    known: SpeechConditioner | None,
-) -> _Corpus:
-    """Return all recordings and unpaired speech in memory; `known` as in `SpeechArrays.fit`."""
-    arrays: dict[str, Sequence[Array]] = {"motion": motion}
-    conditioner = None
-    if speech is not None:
-        made = speech.in_memory([*recordings.items, *recordings.unpaired])
-        conditioner = speech.fit([(array, 0, array.shape[0]) for array in made], known)
-        arrays |= {"speech": made[: len(motion)], "unpaired": made[len(motion) :]}
-    frames = CorpusFrames.of(arrays, normaliser, conditioner).in_memory()
-    return _Corpus(frames, conditioner, [None] * len(motion), recordings.rates)
-
-
-def _on_disk(
+def _arrays(
     config: MultiresConfig,
     recordings: Recordings,
     maker: MotionArrays,
-    normaliser: Normaliser,
+    made: Sequence[np.ndarray],
     speech: SpeechArrays | None,
-    known: SpeechConditioner | None,
-) -> _Corpus:
-    """Return recordings and unpaired speech on disk; arrays that are missing are made."""
+) -> dict[str, Sequence[Array]]:
+    """Return motion, speech and unpaired speech in memory, or of a long corpus on disk.
+
+    Arrays that are missing on disk are made.
+    """
     items, others = recordings.items, recordings.unpaired
-    wanted: list[tuple[Maker, Sequence[Item]]] = [(maker, items)]
-    wanted += [] if speech is None else [(speech, items), (speech, others)]
-    made = stored_arrays(config.arrays_folder, wanted, config.workers)
-    arrays = dict(zip(("motion", "speech", "unpaired"), made, strict=False))
-    lengths = [array.shape[0] for array in arrays["motion"]]
-    if speech is not None:
-        lengths = [min(n, a.shape[0]) for n, a in zip(lengths, arrays["speech"], strict=True)]
+    names = ("motion",) if speech is None else ("motion", "speech", "unpaired")
+    if recordings.excerpts is None:
+        pairs = zip(made, recordings.rates, strict=True)
+        arrays: list[Sequence[Array]] = [[ArrayInMemory(rows, {"fps": fps}) for rows, fps in pairs]]
+        if speech is not None:
+            spoken = speech.in_memory([*items, *others])
+            arrays += [spoken[: len(items)], spoken[len(items) :]]
+    else:
+        wanted: list[tuple[Maker, Sequence[Item]]] = [(maker, items)]
+        wanted += [] if speech is None else [(speech, items), (speech, others)]
+        arrays = [*stored_arrays(config.arrays_folder, wanted, config.workers)]
+    return dict(zip(names, arrays, strict=True))
+
+
+def _sample(
+    config: MultiresConfig, recordings: Recordings, arrays: Mapping[str, Sequence[Array]]
+) -> tuple[tuple[Cut, ...] | None, list[tuple[Array, int, int]]]:
+    """Return the parts of a long corpus from which statistics are computed, None for all of it.
+
+    The second value is the speech to which a conditioner is fitted: arrays, first frames and ends.
+    """
+    speech, unpaired = arrays.get("speech", ()), arrays.get("unpaired", ())
+    if recordings.excerpts is None:
+        return None, [(array, 0, array.shape[0]) for array in (*speech, *unpaired)]
+    beside = speech or arrays["motion"]
+    pairs = zip(arrays["motion"], beside, strict=True)
+    lengths = [min(motion.shape[0], other.shape[0]) for motion, other in pairs]
     cuts = tuple(
         (excerpt.index, *excerpt.frames(config.fps, lengths[excerpt.index]))
-        for excerpt in recordings.excerpts or ()
+        for excerpt in recordings.excerpts
     )
-    conditioner = None
-    if speech is not None:
-        clips = [(arrays["speech"][i], start, stop) for i, start, stop in cuts]
-        for excerpt in systematic_sample(others, 60 * config.in_memory):
-            array = arrays["unpaired"][excerpt.index]
-            clips.append((array, *excerpt.frames(config.fps, array.shape[0])))
-        conditioner = speech.fit(clips, known)
-    frames = CorpusFrames.of(arrays, normaliser, conditioner)
-    sigmas = [
-        level_sigmas(frames.motion[i][:, start:stop][None], config.network)
-        for i, start, stop in cuts
-    ]
-    shared = torch.stack(sigmas).mean(dim=0)
-    rates = [array.facts["fps"] for array in arrays["motion"]]
-    return _Corpus(frames, conditioner, [shared] * len(items), rates, cuts)
+    clips = [(speech[i], start, stop) for i, start, stop in cuts] if speech else []
+    for excerpt in systematic_sample(recordings.unpaired, 60 * config.in_memory) if speech else ():
+        array = unpaired[excerpt.index]
+        clips.append((array, *excerpt.frames(config.fps, array.shape[0])))
+    return cuts, clips
 
 
 def _window(config: MultiresConfig) -> int | None:
@@ -388,57 +376,28 @@ def load_start(config: MultiresConfig, speech: SpeechArrays | None) -> MultiresM
         return None
     weights = None if config.features is None else config.features.encoder_places
     start = MultiresModel.load(model_of(folder), weights=weights)
-    known = {
+    known: dict[str, Any] = {
         "fps": start.fps,
         "normalise": bool(start.normaliser.mean.any()),
         "contact_threshold": start.representation.contact_speed,
-        **_network(start.network_config),
     }
-    wanted = {
-        "fps": config.fps,
-        "normalise": config.normalise,
-        "contact_threshold": config.contact_threshold,
-        **_network(config.network),
-    }
+    wanted = {name: getattr(config, name) for name in known}
+    for settings, network in ((known, start.network_config), (wanted, config.network)):
+        settings |= {f"network.{name}": value for name, value in to_dict(network).items()}
     check_settings("start_from", folder, known, wanted)
-    _check_inputs(start, config, speech, folder)
-    return start
-
-
-def _network(config: NetworkConfig) -> dict[str, Any]:
-    return {f"network.{name}": value for name, value in to_dict(config).items()}
-
-
-def _check_inputs(
-    start: MultiresModel, config: MultiresConfig, speech: SpeechArrays | None, folder: Path
-) -> None:
-    """Raise ConfigError if a model has other inputs than a run."""
-    conditions = start.conditions
+    conditions, given, asked = start.conditions, None, None
     conditioner, has_state = conditions.conditioner, conditions.state is not None
-    known, wanted = None, None
     if conditioner is not None:
-        known = {**conditioner_values(conditioner), "residual": conditions.residual}
+        given = {**conditioner_values(conditioner), "residual": conditions.residual}
     if speech is not None:
-        wanted = {**feature_values(speech), "residual": config.residual}
-    check_conditions(folder, {"features": known}, {"features": wanted})
+        asked = {**feature_values(speech), "residual": config.residual}
+    check_conditions(folder, {"features": given}, {"features": asked})
     # A model without a state may get one, unless the state hides columns of vocal effort from
     # the network, or the network has no layer for a condition.
     hides = conditioner is not None and bool(conditioner.effort)
     if hides or has_state or not conditions.width:
         check_settings("start_from", folder, {"state": has_state}, {"state": config.state})
-
-
-def check_styles(
-    start: MultiresModel | None, config: MultiresConfig, styles: Sequence[str]
-) -> None:
-    """Check that a model to start from, if any, has the recordings' styles; both may have none.
-
-    Raises:
-        ConfigError: a style that the model does not know, or only one of them has styles.
-    """
-    if start is not None and config.start_from is not None:
-        known, wanted = {"styles": list(start.styles)}, {"styles": list(styles)}
-        check_conditions(config.start_from, known, wanted)
+    return start
 
 
 def representation_on_bones_of(
@@ -453,22 +412,17 @@ def representation_on_bones_of(
     assert folder is not None
     check_rig("start_from", folder, known.skeleton, motions[0].skeleton, config.corpus)
     wanted = known.on_bones_of(motions)
-    for what, joints in (("feet", _feet), ("upper body", _modulated)):
-        before, now = joints(known, config), joints(wanted, config)
-        if before != now:
+
+    def parts(rig: MultiresRepresentation) -> dict[str, list[str]]:
+        modulated = zip(rig.joints, modulated_blocks(rig, config.network), strict=False)
+        upper = [name for name, chosen in modulated if chosen]
+        return {"feet": [point.joint for point in rig.foot_points], "upper body": upper}
+
+    now = parts(wanted)
+    for what, before in parts(known).items():
+        if before != now[what]:
             raise ConfigError(
-                f"start_from: {folder} has {what} {before}, {config.corpus} {now}; name the parts "
-                "of the rig by hand (parts: {left_knee: JOINT, ...})"
+                f"start_from: {folder} has {what} {before}, {config.corpus} {now[what]}; name the "
+                "parts of the rig by hand (parts: {left_knee: JOINT, ...})"
             )
     return wanted
-
-
-def _feet(representation: MultiresRepresentation, _: MultiresConfig) -> list[str]:
-    """Return the joint of each foot point."""
-    return [point.joint for point in representation.foot_points]
-
-
-def _modulated(representation: MultiresRepresentation, config: MultiresConfig) -> list[str]:
-    """Return the joints that the condition modulates."""
-    blocks = modulated_blocks(representation, config.network)
-    return [name for name, chosen in zip(representation.joints, blocks, strict=False) if chosen]

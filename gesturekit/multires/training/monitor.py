@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,8 @@ from torch import Tensor
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.layers import Convolve, convolve_dense, resample
-from gesturekit.multires.networks import MultiresGenerator
+from gesturekit.multires.networks import Convolve, MultiresGenerator, convolve_dense
+from gesturekit.multires.resampling import resample
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.multires.training.windows import random_noise
@@ -44,14 +44,12 @@ class Monitor:
         convolve: Convolve = convolve_dense,
         state: TrainingState | None = None,
     ) -> None:
-        self.data, self.state = data, state
-        self.convolve = convolve
-        self.config = config
+        self.data, self.config, self.convolve, self.state = data, config, convolve, state
         self.excerpts = [
             (sequence, min(sequence.n_frames, round(MAX_SECONDS * config.fps)))
             for sequence in data.paired[:MAX_EXCERPTS]
         ]
-        self.recordings = [self._motion(self._recorded(i)) for i in range(len(self.excerpts))]
+        self.recordings = [self._motion(sequence.motion[:, :n]) for sequence, n in self.excerpts]
         self.samples: list[Motion] = []
         self.noise = random_noise(data, config, config.noise_levels)
 
@@ -62,11 +60,14 @@ class Monitor:
         `patch_diversity_ratio` is added: the spread of the samples' one-second patches, relative to
         that of the recordings at the same level.
         """
-        numbers = range(len(self.excerpts))
-        generated = [self._generated(network, levels, number) for number in numbers]
+        generated = [self._generated(network, levels, i) for i in range(len(self.excerpts))]
         self.samples = [self._motion(vectors) for vectors in generated]
         metrics = quick_metrics(self.samples, self.recordings)
-        real = [self._at_level(self._recorded(number), levels) for number in numbers]
+        real = []
+        for sequence, n_frames in self.excerpts:
+            coarse = self.config.network.lengths(n_frames)[levels - 1]
+            recorded = sequence.motion[:, :n_frames]
+            real.append(resample(resample(recorded, coarse), n_frames))
         spread = self._patch_spread(real)
         if spread > 0:
             metrics["patch_diversity_ratio"] = self._patch_spread(generated) / spread
@@ -82,8 +83,7 @@ class Monitor:
             "much as those of the recordings. If this continues, try a lower "
             "training.learning_rate, more training.discriminator_steps, or fewer "
             "training.reconstruction_steps.",
-            step,
-            ratio,
+            *(step, ratio),
         )
         return True
 
@@ -96,14 +96,13 @@ class Monitor:
     @torch.no_grad()
     def _generated(self, network: MultiresGenerator, levels: int, number: int) -> Tensor:
         """Return the motion generated for an excerpt, (D, T) normalised."""
-        device = next(network.parameters()).device
+        device, given = next(network.parameters()).device, self.data.conditions
         sequence, n_frames = self.excerpts[number]
         lengths = self.config.network.lengths(n_frames)
         speech = sequence.speech[:, :n_frames][None]
         rng, state = rng_for(self.config.seed, "monitor", number), None
         noises = self.noise.gaussian(lengths[:levels], lambda _: rng)
         noises[0] = self.noise.shuffled(noises[0], [[sequence.style] * lengths[0]], rng)
-        given = self.data.conditions
         if self.state is not None:
             state = self.state.drawn(speech[0], sequence.style, rng)
             noises = self.noise.clocked(state, given.n_carriers, lengths[:levels])
@@ -117,29 +116,15 @@ class Monitor:
         )[-1]
         return resample(output, n_frames)[0].cpu()
 
-    def _recorded(self, number: int) -> Tensor:
-        """Return the recording of an excerpt, (D, T) normalised."""
-        sequence, n_frames = self.excerpts[number]
-        return sequence.motion[:, :n_frames]
-
-    def _at_level(self, motion: Tensor, levels: int) -> Tensor:
-        """Return motion (D, T) with only the detail that the first `levels` levels can hold."""
-        n_frames = motion.shape[-1]
-        coarse = self.config.network.lengths(n_frames)[levels - 1]
-        return resample(resample(motion, coarse), n_frames)
-
-    def _patch_spread(self, motions: list[Tensor]) -> float:
+    def _patch_spread(self, motions: Sequence[Tensor]) -> float:
         """Return the standard deviation of patches of joint rotations, over all motions (D, T).
 
         It equals the root mean square distance between two patches up to a constant factor.
         """
         rotations = self.data.representation.layout.rotations
         window = max(1, round(_PATCH_SECONDS * self.config.fps))
-        patches = [
-            motion[rotations].unfold(1, window, 1).transpose(0, 1)
-            for motion in motions
-            if motion.shape[1] >= window
-        ]
+        long = [motion[rotations] for motion in motions if motion.shape[1] >= window]
+        patches = [motion.unfold(1, window, 1).transpose(0, 1) for motion in long]
         if not patches:
             return 0.0
         return float(torch.cat(patches).double().var(dim=0, correction=0).mean().sqrt())

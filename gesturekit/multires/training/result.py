@@ -22,7 +22,7 @@ from gesturekit.multires.motion_vector import fastest_second
 from gesturekit.multires.networks import MultiresGenerator
 from gesturekit.multires.pyramid import TrainedNoise, TrainedSequence
 from gesturekit.multires.retrieval import RecordedLibrary
-from gesturekit.multires.stream_window import SpeechStream
+from gesturekit.multires.stream import SpeechStream
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.progress import Progress
@@ -57,16 +57,14 @@ def trained_model(
     library: RecordedLibrary | None,
 ) -> MultiresModel:
     """Return the model of a network, which is moved to the CPU."""
-    root_xz = data.representation.layout.root_xz
     # With a state of movement, a recording is made of its state, which is not kept.
     reconstructed = data.sample if state is None else ()
-    sequences, speeds = {}, []
-    for sequence in reconstructed:
-        style = data.conditions.styles[sequence.style] if data.conditions.styles else None
-        sequences[sequence.name] = TrainedSequence(sequence.n_frames, style)
-    for sequence in data.sample:
-        values = data.normaliser.to_values(sequence.motion[:, :][None])
-        speeds.append(fastest_second(values[:, root_xz], config.fps))
+    names, xz = data.conditions.styles, data.representation.layout.root_xz
+    sequences = {
+        each.name: TrainedSequence(each.n_frames, names[each.style] if names else None)
+        for each in reconstructed
+    }
+    steps = [data.normaliser.to_values(each.motion[:, :][None])[:, xz] for each in data.sample]
     noise = TrainedNoise(
         sigma=torch.stack([sequence.sigma for sequence in data.sample]),
         z_star={sequence.name: sequence.z_star for sequence in reconstructed},
@@ -85,7 +83,7 @@ def trained_model(
         network=network.cpu().eval(),
         noise=noise,
         speakers=data.speakers,
-        fastest=data.representation.scale * max(speeds),
+        fastest=data.representation.scale * max(fastest_second(way, config.fps) for way in steps),
         smooth=config.smooth,
         recorded_fps=data.recorded_fps,
     )
@@ -123,22 +121,17 @@ def live_predictions(model: MultiresModel, corpus: Path) -> tuple[AheadPredictio
     predictions = []
     for look_ahead in LOOK_AHEADS:
         ahead = stream.rows_ahead(look_ahead)
-        known = [
-            [(rows, row - ahead) for row, rows in windows if 0 <= row - ahead < len(movement)]
-            for windows, movement in zip(speeches, fast, strict=True)
-        ]
-        frames = [[frame for _, frame in pairs] for pairs in known]
-        prediction = AheadPrediction.fit(
-            look_ahead,
-            [[rows for rows, _ in pairs] for pairs in known],
-            [curve[known_at] for curve, known_at in zip(fast, frames)],
-            [curve[known_at] for curve, known_at in zip(slow, frames)],
-            [item.take for item in chosen],
-            process.wanted,
-            sets,
-            model.fps / _EVERY,
-        )
-        predictions.append(prediction)
+        known, fast_known, slow_known = [], [], []
+        for windows, movement, scores in zip(speeches, fast, slow, strict=True):
+            pairs = [(rows, row - ahead) for row, rows in windows]
+            pairs = [(rows, frame) for rows, frame in pairs if 0 <= frame < len(movement)]
+            frames = [frame for _, frame in pairs]
+            known.append([rows for rows, _ in pairs])
+            fast_known.append(movement[frames])
+            slow_known.append(scores[frames])
+        takes = [item.take for item in chosen]
+        given = known, fast_known, slow_known, takes, process.wanted, sets
+        predictions.append(AheadPrediction.fit(look_ahead, *given, model.fps / _EVERY))
     log.info("Live: %s.", *live_rows(predictions).values())
     return tuple(predictions)
 

@@ -7,17 +7,17 @@ carriers, and the noise of level 1 that is made of them, are always the same, as
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import cycle
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.conditions import style_levels
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.kinematics import VectorKinematics
+from gesturekit.multires.kinematics import VectorKinematics, measured_state
 from gesturekit.multires.model import MultiresModel
-from gesturekit.multires.pyramid import generated
+from gesturekit.multires.pyramid import Pyramid, style_levels
 from gesturekit.multires.retrieval import RecordedLibrary, RecordedMotion
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.state.process import RecordedState, StateProcess
@@ -49,7 +49,7 @@ class TrainingState:
     def __init__(self, data: TrainingData, config: MultiresConfig) -> None:
         self.data, self.config, channels = data, config, data.conditions.state
         assert channels is not None
-        self._channels_of = channels
+        self._channels = channels
         self._kinematics = VectorKinematics(data.representation, config.fps, arms=False)
         self._values = {sequence.name: self._measured(sequence) for sequence in data.sample}
         recordings = [
@@ -164,28 +164,20 @@ class TrainingState:
             )
         return RecordedLibrary(config.fps, data.passive, tuple(recordings))
 
-    @torch.no_grad()
     def _made(
         self, model: MultiresModel, state: np.ndarray, speech: np.ndarray, style: int | None
     ) -> np.ndarray:
         """Return the channels (C, T) of a motion that is made of a condition (C + H + 4 H, T)."""
-        lengths = model.network_config.lengths(state.shape[1])
-        styles = []
+        lengths, styles = model.network_config.lengths(state.shape[1]), list[Tensor]()
         if style is not None:
             numbers = torch.full((1, len(lengths)), style)
             styles = style_levels(numbers, len(model.styles), lengths)
-        noise = model.noise.random(model.styles)
-        noises = noise.clocked(state[None], model.conditions.n_carriers, lengths)
         condition = model.conditions.of_motion(speech.T, lengths, styles, (), state)
-        values = generated(model, noises, lengths, condition)
-        return self._channels(torch.from_numpy(values.T[None]).float())
+        pyramid = Pyramid(model, lengths, condition, partial(rng_for, self.config.seed))
+        return measured_state(pyramid.random(), model.representation, self._channels, model.fps)
 
     @torch.no_grad()
     def _measured(self, sequence: PairedSequence) -> np.ndarray:
         """Return the channels (C, T) of a recording, in their own units."""
-        return self._channels(self.data.normaliser.inverse(sequence.motion[:, :][None]))
-
-    def _channels(self, values: Tensor) -> np.ndarray:
-        """Return the channels (C, T) of motion vectors (1, D, T)."""
-        places = self._kinematics.places(values)
-        return self._channels_of(places, self._kinematics.fps)[0].double().numpy()
+        places = self._kinematics.places(self.data.normaliser.inverse(sequence.motion[:, :][None]))
+        return self._channels(places, self.config.fps)[0].double().numpy()

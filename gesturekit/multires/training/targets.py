@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -23,11 +22,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gesturekit.multires import losses
-from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
-from gesturekit.multires.layers import reflect, resample
 from gesturekit.multires.motion_vector import Normaliser
-from gesturekit.multires.training.data import PairedSequence, TrainingData
+from gesturekit.multires.resampling import reflect, resample
+from gesturekit.multires.training.data import PairedSequence
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.state.channels import averaged
 
@@ -275,52 +273,6 @@ def _lines(given: Sequence[Tensor], shown: Sequence[Tensor]) -> np.ndarray:
     away = x - x.mean(axis=1, keepdims=True)
     slope = (away * y).mean(axis=1) / np.maximum(np.square(away).mean(axis=1), 1e-9)
     return np.stack([slope, mean - slope * x.mean(axis=1), np.maximum(y.std(axis=1), 1e-3)])
-
-
-@dataclass(frozen=True)
-class LevelTargets:
-    """Targets of one level; None for a loss that it does not have."""
-
-    arms: ArmTarget | None
-    detail: DetailTarget | None
-    state: StateTarget | None
-
-
-def level_targets(
-    data: TrainingData,
-    config: MultiresConfig,
-    indices: Sequence[int],
-    kinematics: VectorKinematics,
-    state: TrainingState | None,
-    device: torch.device,
-) -> list[LevelTargets]:
-    """Return the targets of the levels with these indices, fitted to the recordings.
-
-    Args:
-        data: of the run.
-        config: of the run.
-        indices: of the levels.
-        kinematics: of the rig.
-        state: the state of movement; None for a model without it.
-        device: on which the networks are trained.
-    """
-    normaliser = data.normaliser.to(device)
-
-    def places(motion: Tensor) -> Tensor:
-        return kinematics.places(normaliser.inverse(motion.to(device)))
-
-    targets = []
-    for i in indices:
-        arms, detail, wanted = None, None, None
-        if config.uses_arm_speed:
-            arms = arm_target(data.sample, i, normaliser, kinematics)
-        if config.losses.detail and i:  # the first level has no coarser one
-            styles = max(1, len(data.conditions.styles))
-            detail = DetailTarget(data.sample, i, places, data.window, styles).to(device)
-        if config.losses.state and state is not None:
-            wanted = StateTarget(state, i, places).to(device)
-        targets.append(LevelTargets(arms, detail, wanted))
-    return targets
 
 
 def arm_target(

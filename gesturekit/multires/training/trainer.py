@@ -22,12 +22,12 @@ from torch import Tensor, nn
 import audio_features as af
 from gesturekit.errors import GestureKitError
 from gesturekit.multires.backend import choose_backend
-from gesturekit.multires.conditions import agreed_style
 from gesturekit.multires.config import MultiresConfig
 from gesturekit.multires.kinematics import VectorKinematics
 from gesturekit.multires.losses import LevelMotion, random_losses, reconstruction
 from gesturekit.multires.model import MultiresModel
 from gesturekit.multires.networks import LevelDiscriminator, MultiresGenerator
+from gesturekit.multires.pyramid import agreed_style
 from gesturekit.multires.retrieval import RecordedLibrary
 from gesturekit.multires.training.data import TrainingData
 from gesturekit.multires.training.loading import (
@@ -40,7 +40,13 @@ from gesturekit.multires.training.loading import (
 from gesturekit.multires.training.monitor import Monitor, distance_from_recordings
 from gesturekit.multires.training.result import live_predictions, trained_model
 from gesturekit.multires.training.state import TrainingState
-from gesturekit.multires.training.targets import MOST_WINDOWS, level_targets
+from gesturekit.multires.training.targets import (
+    MOST_WINDOWS,
+    ArmTarget,
+    DetailTarget,
+    StateTarget,
+    arm_target,
+)
 from gesturekit.multires.training.windows import Batches, Windows, usage
 from gesturekit.state.prediction import AheadPrediction
 from gesturekit.training.model_folder import TrainedModel
@@ -102,13 +108,11 @@ class Trainer(BaseTrainer):
 
     def stages(self) -> list[tuple[int, int]]:
         """Return (first level, iterations) of each stage."""
-        training, levels = self.config.training, self.config.network.levels
+        training = self.config.training
         first = self.config.lengthened(training.first_stage)
         further = self.config.lengthened(training.further_stages)
-        return [
-            (level, further if level else first)
-            for level in range(0, levels, training.stage_levels)
-        ]
+        levels = range(0, self.config.network.levels, training.stage_levels)
+        return [(level, further if level else first) for level in levels]
 
     def stage(self, first: int, iterations: int) -> Stage:
         """Return the stage that begins with this level, its discriminators untrained."""
@@ -195,18 +199,15 @@ class Trainer(BaseTrainer):
         assert isinstance(model, MultiresModel)
         if (process := model.state_process) is not None:
             if self._live is None:
-                self._live = self._live_predictions(model)
+                try:
+                    self._live = live_predictions(model, self.config.corpus)
+                except (GestureKitError, af.AudioFeaturesError) as error:
+                    # A trained model is worth more than its use for live speech.
+                    self._live = ()
+                    what = "The model cannot stream, without predictions for live speech"
+                    log.warning("%s: %s", what, error)
             model = replace(model, state_process=replace(process, ahead=self._live))
         super().write(name, model, rows)
-
-    def _live_predictions(self, model: MultiresModel) -> tuple[AheadPrediction, ...]:
-        """Return predictions for live speech, and none with a warning if they cannot be fitted."""
-        try:
-            return live_predictions(model, self.config.corpus)
-        except (GestureKitError, af.AudioFeaturesError) as error:
-            # A trained model is worth more than its use for live speech.
-            log.warning("The model cannot stream, without predictions for live speech: %s", error)
-            return ()
 
     def _calibrated(self, model: MultiresModel) -> MultiresModel:
         """Return a model with a state of movement that its network shows as it is drawn."""
@@ -295,9 +296,27 @@ class Stage:
         self.normaliser = data.normaliser.to(self.device)
         arms = config.uses_arm_speed
         self.kinematics = VectorKinematics(data.representation, config.fps, arms).to(self.device)
-        self.targets = level_targets(
-            data, config, self.indices, self.kinematics, state, self.device
-        )
+        self._fit_targets(data, state)
+
+    def _fit_targets(self, data: TrainingData, state: TrainingState | None) -> None:
+        """Fit the targets of each level to the recordings; none for losses that are off."""
+        losses, styles = self.config.losses, max(1, len(data.conditions.styles))
+
+        def places(motion: Tensor) -> Tensor:
+            return self.kinematics.places(self.normaliser.inverse(motion.to(self.device)))
+
+        self.arms, self.details, self.states = list[ArmTarget](), {}, list[StateTarget]()
+        if self.config.uses_arm_speed:
+            fit = partial(arm_target, normaliser=self.normaliser, kinematics=self.kinematics)
+            self.arms = [fit(data.sample, i) for i in self.indices]
+        if losses.detail:
+            self.details = {
+                i: DetailTarget(data.sample, i, places, data.window, styles).to(self.device)
+                for i in self.indices
+                if i  # the first level has no coarser one
+            }
+        if losses.state and state is not None:
+            self.states = [StateTarget(state, i, places).to(self.device) for i in self.indices]
 
     def state(self) -> dict[str, Any]:
         """Return what a checkpoint holds."""
@@ -401,7 +420,8 @@ class Stage:
         given, aims = self._targets_of(windows, n_frames)
 
         def losses_of(i: int) -> dict[str, Tensor]:
-            target, styles = self.targets[i], windows.styles[:, self.first + i]
+            number = self.first + i
+            detail, styles = self.details.get(number), windows.styles[:, number]
             level = LevelMotion(
                 self.normaliser.inverse(within[i]),
                 n_frames / within[i].shape[-1],
@@ -409,8 +429,8 @@ class Stage:
                 made[i],
                 made[i - 1].detach() if i else windows.coarser,
                 aims[i] if aims else None,
-                target.detail and partial(target.detail, styles=styles),
-                target.state and partial(target.state, state=given[i]),
+                detail and partial(detail, styles=styles),
+                partial(self.states[i], state=given[i]) if given else None,
             )
             return random_losses(level, self.kinematics, self.config.losses)
 
@@ -497,14 +517,12 @@ class Stage:
         """Return what each level was given of the state (B, C, T_i), and the predicted arm movement
         (B, 2, T_i); empty without such targets."""
         given, aims = list[Tensor](), list[Tensor]()
-        stated = [target.state for target in self.targets if target.state]
-        if stated:
-            channels = stated[0].channels
+        if self.states:
+            channels = self.states[0].channels
             rows = slice(-channels.width, len(channels.names) - channels.width)
             given = self._within([level[:, rows] for level in windows.conditions], n_frames)
-        arms = [target.arms for target in self.targets if target.arms]
-        if arms:
-            pairs = zip(arms, windows.speech, strict=True)
+        if self.arms:
+            pairs = zip(self.arms, windows.speech, strict=True)
             aims = self._within([target(speech) for target, speech in pairs], n_frames)
         return given, aims
 

@@ -17,11 +17,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.multires.conditions import mixed_styles
 from gesturekit.multires.config import MultiresConfig
-from gesturekit.multires.layers import Convolve, convolve_dense, resample
-from gesturekit.multires.networks import MultiresGenerator
-from gesturekit.multires.pyramid import RandomNoise, ZStarPatches
+from gesturekit.multires.networks import Convolve, MultiresGenerator, convolve_dense
+from gesturekit.multires.pyramid import RandomNoise, ZStarPatches, mixed_styles
+from gesturekit.multires.resampling import resample
 from gesturekit.multires.training.data import PairedSequence, TrainingData
 from gesturekit.multires.training.state import TrainingState
 from gesturekit.training.seeds import rng_for
@@ -87,20 +86,14 @@ class Batches:
         state: TrainingState | None = None,
     ) -> None:
         self.data, self.config, self.network, self.state = data, config, network, state
-        self.first = first
-        self.convolve = convolve
+        self.first, self.convolve = first, convolve
         self.device = next(network.parameters()).device
         self.noise = random_noise(data, config, config.network.levels)
         self.size = config.windows_per_step
-        self.sequences = {
-            n_frames: [data.paired[i] for i in members]
-            for n_frames, members in data.window_lengths().items()
-        }
+        groups = data.window_lengths()
+        self.sequences = {n: [data.paired[i] for i in group] for n, group in groups.items()}
         # A length is drawn as often as the recordings or clips that have it.
-        self._recorded = {
-            n_frames: sum(map(data.draw_weight, members))
-            for n_frames, members in self.sequences.items()
-        }
+        self._recorded = {n: sum(map(data.draw_weight, own)) for n, own in self.sequences.items()}
         self._spoken = Counter(clip.shape[-1] for clip in data.unpaired)
         self._cached: dict[str, dict[int, Windows]] = {}
 
@@ -112,10 +105,8 @@ class Batches:
         self._cached = {}
         # The word is part of the seed.
         rng = rng_for(self.config.seed, "bank", self.first, iteration // training.renew_every)
-        shares = {
-            n_frames: max(1, training.window_cache * len(members) // len(self.data.paired))
-            for n_frames, members in self.sequences.items()
-        }
+        size, total = training.window_cache, len(self.data.paired)
+        shares = {n: max(1, size * len(own) // total) for n, own in self.sequences.items()}
         counts = {"paired": shares} if training.reconstruction_steps else {}
         if training.discriminator_steps or training.generator_steps:
             counts["random"] = shares
@@ -219,18 +210,17 @@ class Batches:
         else:
             pairs = zip(sequences, starts, strict=True)
             chosen = [(sequence, start) for sequence, n in pairs for start in range(n)]
+        parts = [(s, slice(start, start + n_frames)) for s, start in chosen]
         state = None
         if self.state is not None:
-            state = np.stack(
-                [self.state.recorded(s)[:, start : start + n_frames] for s, start in chosen]
-            )
+            state = np.stack([self.state.recorded(s)[:, frames] for s, frames in parts])
         z_star = torch.stack([s.z_star_window(start, lengths[0]) for s, start in chosen])
         return self._windows(
-            torch.stack([s.speech[:, start : start + n_frames] for s, start in chosen]),
+            torch.stack([s.speech[:, frames] for s, frames in parts]),
             torch.tensor([[s.style] * len(lengths) for s, _ in chosen]),
             [z_star, *[None] * (len(lengths) - 1)],
             state,
-            torch.stack([s.motion[:, start : start + n_frames] for s, start in chosen]),
+            torch.stack([s.motion[:, frames] for s, frames in parts]),
         )
 
     def recorded(
@@ -278,9 +268,8 @@ class Batches:
         `speech` is (N, S, T), `styles` (N, L), each of `noises` (N, 1 or D, T_i) unless `state`
         (N, C, T) makes it, `motion` (N, D, T) for reconstruction.
         """
-        config, to, first = self.config, self.device, self.first
-        lengths = config.network.lengths(speech.shape[-1])
-        given = self.data.conditions
+        config, to, first, coarser = self.config, self.device, self.first, None
+        lengths, given = config.network.lengths(speech.shape[-1]), self.data.conditions
         conditions = [level.to(to) for level in given.of_batch(speech, lengths, styles, state)]
         if state is not None:
             noises = self.noise.clocked(state, given.n_carriers, lengths)
@@ -288,38 +277,28 @@ class Batches:
         stage = slice(first, first + config.training.stage_levels)
         asks_arms = motion is None and config.uses_arm_speed
         targets = () if motion is None else [resample(motion.to(to), n) for n in lengths[stage]]
+        if first and motion is not None and config.losses.rec_input == "real":  # eq. 15 as printed
+            coarser = resample(motion.to(to), lengths[first - 1])
+        elif first:
+            made, size = [], config.training.batch
+            for start in range(0, len(styles), size):
+                batch = slice(start, start + size)
+                levels = self.network(
+                    [None if noise is None else noise[batch] for noise in noises[:first]],
+                    [level[batch] for level in conditions[:first]],
+                    lengths=lengths[:first],
+                    convolve=self.convolve,
+                )
+                made.append(levels[-1])
+            coarser = torch.cat(made)
         return Windows(
-            self._coarser(noises[:first], conditions[:first], lengths[:first], motion),
+            coarser,
             tuple(noises[stage]),
             tuple(conditions[stage]),
             tuple(resample(speech.to(to), n) for n in lengths[stage]) if asks_arms else (),
             tuple(targets),
             styles.to(to),
         )
-
-    def _coarser(
-        self,
-        noises: Sequence[Tensor | None],
-        conditions: Sequence[Tensor],
-        lengths: Sequence[int],
-        motion: Tensor | None,
-    ) -> Tensor | None:
-        """Return the output of the last of the coarser levels, or the recording there (eq. 15)."""
-        if not lengths:
-            return None
-        if motion is not None and self.config.losses.rec_input == "real":
-            return resample(motion.to(self.device), lengths[-1])
-        made, size = [], self.config.training.batch
-        for start in range(0, len(conditions[0]), size):
-            batch = slice(start, start + size)
-            levels = self.network(
-                [None if noise is None else noise[batch] for noise in noises],
-                [level[batch] for level in conditions],
-                lengths=lengths,
-                convolve=self.convolve,
-            )
-            made.append(levels[-1])
-        return torch.cat(made)
 
 
 def random_noise(data: TrainingData, config: MultiresConfig, levels: int) -> RandomNoise:
