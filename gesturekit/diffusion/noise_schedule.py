@@ -118,7 +118,7 @@ class NoiseSchedule:
 
 
 Predict = Callable[[Tensor, int], Tensor]
-"""Return the noise in motion (B, T, X) at a step."""
+"""Return the noise in motion (B, T, X) at a step, or a network's own prediction."""
 
 MAX_DEVIATION = 10.0
 """Bound of every number of a motion, in standard deviations from its mean."""

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from gesturekit.diffusion import NetworkConfig
-from gesturekit.diffusion.network import attend
-from gesturekit.diffusion.position_bias import PositionBias, bands
+from gesturekit.diffusion.network import PositionBias, attend, bands
 from gesturekit.training.seeds import rng_for
 
 
