@@ -19,8 +19,8 @@ from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.request import Request
-from gesturekit.diffusion.sampler import check_controls, sampled_motions
+from gesturekit.diffusion.request import Request, check_controls
+from gesturekit.diffusion.sampler import sampled_motions
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.model import Inputs, MotionStream, build_controls, document_controls
 from gesturekit.motion.motion import Motion

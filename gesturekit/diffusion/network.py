@@ -302,11 +302,10 @@ class Denoiser(nn.Module):
         if config.architecture == "conformer":
             self.stacks = nn.ModuleList(ConformerStack(config, d) for d in dilations)
         else:
-            self.stacks = nn.ModuleList(
-                DilatedConv(width, 2 * width, d, bias=True) for d in dilations
-            )
-            for stack in self.stacks:
+            stacks = [DilatedConv(width, 2 * width, d, bias=True) for d in dilations]
+            for stack in stacks:
                 nn.init.kaiming_normal_(stack.weight)
+            self.stacks = nn.ModuleList(stacks)
         self.split = nn.ModuleList(kaiming(width, 2 * width) for _ in dilations)
         self.gather = kaiming(width, width)
         self.leave = nn.Linear(width, n_motion)
