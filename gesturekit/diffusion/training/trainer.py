@@ -26,8 +26,7 @@ from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, sample
 from gesturekit.diffusion.training.batches import Batches, TrainingBatch
 from gesturekit.diffusion.training.data import TrainingData
-from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.diffusion.training.recordings import read_recordings
+from gesturekit.diffusion.training.loading import load_training_data, read_recordings
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
