@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -39,6 +38,11 @@ from gesturekit.diffusion.noise_schedule import Predict
 
 FREQUENCIES = 64
 """Number of sines, and of cosines, of the step embedding, from 1 to 1e4 radians per step."""
+
+Band = tuple[slice, list[tuple[slice, slice, Tensor]]]
+"""Heads of similar reach, and blocks: query frames, key frames, and bias (heads, queries, keys).
+
+The queries of all blocks are all frames."""
 
 Stack = Callable[[Tensor], Tensor]
 """A map from (B, T, C) to (B, T, 2 C) in a residual block."""
@@ -82,20 +86,6 @@ class PositionBias(nn.Module):
         return (score - distance.abs()[:, None] * self.slopes).T
 
 
-@dataclass(frozen=True)
-class Band:
-    """Heads of similar reach.
-
-    Attributes:
-        heads: the heads.
-        blocks: query frames, key frames, and the bias (heads, queries, keys) of each block; the
-            queries of all blocks are all frames.
-    """
-
-    heads: slice
-    blocks: list[tuple[slice, slice, Tensor]]
-
-
 def bands(bias: PositionBias, n_frames: int) -> list[Band]:
     """Group all heads into bands for a clip of `n_frames`.
 
@@ -129,7 +119,7 @@ def bands(bias: PositionBias, n_frames: int) -> list[Band]:
                 # Contiguous: the fused kernel would otherwise copy it at every call.
                 biases[shape] = span.unfold(1, keys, 1).flip(1).contiguous()
             blocks.append((q, k, biases[shape]))
-        all_bands.append(Band(slice(first, last), blocks))
+        all_bands.append((slice(first, last), blocks))
         last = first
     return all_bands[::-1]
 
@@ -143,11 +133,11 @@ def attend(
     that are deterministic on every device. Both compute the same.
     """
     by_band = []
-    for band in bands:
+    for heads, blocks in bands:
         by_block = []
-        for query_frames, key_frames, bias in band.blocks:
-            q = queries[:, band.heads, query_frames]
-            k, v = keys[:, band.heads, key_frames], values[:, band.heads, key_frames]
+        for query_frames, key_frames, bias in blocks:
+            q = queries[:, heads, query_frames]
+            k, v = keys[:, heads, key_frames], values[:, heads, key_frames]
             if fused:
                 mask = bias.to(q.dtype).expand(len(q), -1, -1, -1)
                 by_block.append(F.scaled_dot_product_attention(q, k, v, mask, dropout))

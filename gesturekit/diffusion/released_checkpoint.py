@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -58,10 +59,6 @@ class _Array:
             raise ValueError(f"an array of shape {shape} has {len(self.values)} numbers")
 
 
-class _Scaler:
-    """The fields of a pickled `StandardScaler`."""
-
-
 def _new_array(*_: Any) -> _Array:
     return _Array()
 
@@ -76,7 +73,7 @@ for _core in ("core", "_core"):
     _STAND_INS[f"numpy.{_core}.multiarray._reconstruct"] = _new_array
     _STAND_INS[f"numpy.{_core}.multiarray.scalar"] = _scalar
 for _module in ("_data", "data"):
-    _STAND_INS[f"sklearn.preprocessing.{_module}.StandardScaler"] = _Scaler
+    _STAND_INS[f"sklearn.preprocessing.{_module}.StandardScaler"] = SimpleNamespace
 
 _KNOWN = {"collections.OrderedDict", "torch._utils._rebuild_tensor_v2", "_codecs.encode"}
 _KNOWN |= {f"torch.{kind}Storage" for kind in ("Float", "Double", "Half", "Long", "Int", "Bool")}

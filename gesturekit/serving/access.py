@@ -18,43 +18,37 @@ TOKEN = "GESTUREKIT_TOKEN"
 _ALL_INTERFACES = ("0.0.0.0", "::")
 
 
-def listening_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens; port 0 takes a free one.
+def listen(
+    host: str, port: int, names: tuple[str, ...], token_file: Path | None
+) -> tuple[socket.socket, str, tuple[str, ...], str | None]:
+    """Return a socket that listens, its URL, the names under which it is reached, and the token.
+
+    Args:
+        host: address on which it listens. One of all interfaces has many names; there, any name is
+            taken unless `names` are given, and the token protects.
+        port: 0 takes a free one.
+        names: additional names.
+        token_file: file of the token; None for that of the environment.
 
     Raises:
-        ConfigError: the address is in use, or not of this machine.
+        ConfigError: the address is in use, or not of this machine; see `_token_of`.
     """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    token, family = _token_of(host, token_file), socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return socket.create_server((host, port), family=family)
+        listening = socket.create_server((host, port), family=family)
     except OSError as error:
         # The message of `create_server` repeats the address.
         reason = (error.strerror or str(error)).partition(" (while")[0]
         raise ConfigError(
             f"--host {host} --port {port}: {reason}; another --port may be free"
         ) from None
-
-
-def address_of(listening: socket.socket, host: str) -> str:
-    """Return the URL of a socket that listens on this host."""
+    is_any = host in _ALL_INTERFACES and not names
     shown = f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{listening.getsockname()[1]}/"
+    url = f"http://{shown}:{listening.getsockname()[1]}/"
+    return listening, url, ("*",) if is_any else (*LOOPBACK, host, f"[{host}]", *names), token
 
 
-def names_of(host: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names under which a service is reached.
-
-    Args:
-        host: address on which it listens. One of all interfaces has many names; there, any name is
-            taken unless `names` are given, and the token protects.
-        names: additional names.
-    """
-    if host in _ALL_INTERFACES and not names:
-        return ("*",)
-    return (*LOOPBACK, host, f"[{host}]", *names)
-
-
-def token_of(host: str, file: Path | None) -> str | None:
+def _token_of(host: str, file: Path | None) -> str | None:
     """Return the token of a file, or of the environment; None without one on this machine.
 
     Raises:

@@ -284,8 +284,8 @@ class TrainingData:
         weights = None if config.features is None else config.features.encoder_places
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
-            values = {**about, **about["conditions"]}
-            fitted = read_fitted(values, tensors, config.fps, weights, device)
+            values = {**about, **about["conditions"], "fps": config.fps}
+            fitted = read_fitted(values, tensors, weights, device)
             representation, process = fitted["representation"], fitted["state_process"]
             if (stored := about["stored"]) is None:
                 recordings = tuple(

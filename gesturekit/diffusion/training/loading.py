@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +58,8 @@ from gesturekit.training.recordings import (
 _STEP_FLOORS = np.array([0.03, 0.015, 0.015])
 """Least scale of turn, forward and lateral displacement: radians and metres per second."""
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+|[A-Z]")
-_OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
+_OTHER_SIDE = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "l": "r", "L": "R"}
+_OTHER_SIDE |= {right: left for left, right in _OTHER_SIDE.items()}
 
 
 def load_training_data(
@@ -151,7 +152,7 @@ def _representation(corpus: Corpus, like: DiffusionModel | None) -> DeltaReprese
     because motion vectors of experts must have the same unit of length.
     """
     config = corpus.config
-    motions = [motion for recording in corpus.read for _, motion in recording.phases]
+    motions = [motion for _, phases in corpus.read for _, motion in phases]
     if like is None:
         return DeltaRepresentation.fit(motions, config.joints, root=not config.path)
     setting = "moves_like" if config.start_from is None else "start_from"
@@ -194,8 +195,8 @@ def _encoded(
             [
                 maker.path(*phase).scaled(1 / representation.scale).deltas()
                 for maker, read in zip(makers, (corpus.read, corpus.unpaired), strict=True)
-                for recording in read
-                for phase in recording.phases
+                for _, phases in read
+                for phase in phases
             ]
         )
         scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / config.fps)
@@ -250,10 +251,10 @@ def _sampled(corpus: Corpus, recordings: Sequence[TrainingSequence]) -> tuple[Cu
     if corpus.is_in_memory:
         return tuple((i, 0, recording.n_frames) for i, recording in enumerate(recordings))
     sample: dict[int, list[Excerpt]] = {}
-    for excerpt in corpus.recordings.excerpts or ():
-        sample.setdefault(excerpt.index, []).append(excerpt)
-    for excerpt in corpus.unpaired_excerpts:
-        sample.setdefault(len(corpus.recordings.items) + excerpt.index, []).append(excerpt)
+    n_paired, excerpts = len(corpus.recordings.items), corpus.recordings.excerpts or ()
+    for first, chosen in ((0, excerpts), (n_paired, corpus.unpaired_excerpts)):
+        for excerpt in chosen:
+            sample.setdefault(first + excerpt.index, []).append(excerpt)
     return tuple(
         (i, *excerpt.frames(corpus.config.fps, recording.n_frames))
         for i, recording in enumerate(recordings)
@@ -299,35 +300,23 @@ def _fit_state(
     return StateProcess.fit(channels, recorded, fps, conditions.conditioner)
 
 
-class Recording(NamedTuple):
-    """A recording at the model's frame rate.
+Recording = tuple[dict[str, Any], list[tuple[Item, Motion]]]
+"""Facts about a recording (id, its file's frame rate, seconds), and items and motions of its phases
+at the model's frame rate; n phases of a recording at n times that rate."""
 
-    Attributes:
-        item: of the manifest.
-        fps: frame rate of its file.
-        seconds: its length.
-        phases: items and motions; n of a recording at n times the model's frame rate.
+
+def recording_of(item: Item, motion: Motion, fps: float) -> Recording:
+    """Resample a motion to `fps`; at n times that rate, take all n decimations of it.
+
+    The first phase is `motion.resample(fps)`. The others start later, and so do their speech, path
+    and events.
     """
-
-    item: Item
-    fps: float
-    seconds: float
-    phases: list[tuple[Item, Motion]]
-
-    @classmethod
-    def of(cls, item: Item, motion: Motion, fps: float) -> Recording:
-        """Resample a motion to `fps`; at n times that rate, take all n decimations of it.
-
-        The first phase is `motion.resample(fps)`. The others start later, and so do their speech,
-        path and events.
-        """
-        ratio = motion.fps / fps
-        n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 * ratio else 1
-        phases = [(item, motion.resample(fps))]
-        for k in range(1, min(n, motion.n_frames)):
-            phase = phase_item(item, k, k / motion.fps)
-            phases.append((phase, motion[k:].resample(fps)))
-        return cls(item, motion.fps, motion.duration, phases)
+    ratio = motion.fps / fps
+    n = round(ratio) if abs(ratio - round(ratio)) < 1e-6 * ratio else 1
+    phases = [(item, motion.resample(fps))]
+    for k in range(1, min(n, motion.n_frames)):
+        phases.append((phase_item(item, k, k / motion.fps), motion[k:].resample(fps)))
+    return {"id": item.id, "fps": motion.fps, "seconds": motion.duration}, phases
 
 
 def phase_item(item: Item, number: int, start: float) -> Item:
@@ -454,13 +443,13 @@ def read_corpus(config: DiffusionConfig, *, trial: bool) -> Corpus:
     motions, read = recordings.motions, []
     rig = UnpairedRig(config.corpus, _unpaired_corpus(config), dict(config.parts), motions[0])
     for i, item in enumerate(recordings.read):
-        read.append(Recording.of(item, motions[i], config.fps))
+        read.append(recording_of(item, motions[i], config.fps))
         # Motion at the rate of its file is released: that of a large corpus fills memory.
-        motions[i] = read[-1].phases[0][1]
+        motions[i] = read[-1][1][0][1]
     excerpts, unpaired = systematic_sample(recordings.unpaired, 60 * config.in_memory), []
     if recordings.excerpts is None or (config.path and config.start_from is None):
         for item in (excerpt.of(recordings.unpaired) for excerpt in excerpts):
-            unpaired.append(Recording.of(item, rig.load(item), config.fps))
+            unpaired.append(recording_of(item, rig.load(item), config.fps))
     names: set[str] = set()
     if config.events:
         names.update(event.name for item in recordings.items for event in item.load_events())
@@ -529,30 +518,32 @@ class VariantArrays:
 
     def make(self, item: Item) -> tuple[np.ndarray, dict[str, Any]]:
         """Read an item and encode its variants."""
-        return self.encode(Recording.of(item, self.rig.load(item), self.config.fps))
+        return self.encode(recording_of(item, self.rig.load(item), self.config.fps))
 
     def encode(self, recording: Recording) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the rows (N, X + W) float32 of all variants of a recording, and facts of them."""
-        is_mirrored = self._is_mirrored(recording.item)
-        plain, mirrored = [], []
-        for item, motion in recording.phases:
+        facts, phases = recording
+        is_mirrored = self._is_mirrored(phases[0][0])
+        plain, mirrored = list[np.ndarray](), list[np.ndarray]()
+        for item, motion in phases:
             path = None
             if self.config.path:
                 path = self.path(item, motion)
                 motion = follow_path(motion, path, self.representation.root)
-            vectors = self._vectors(item, motion, path)
             condition = self._condition(item, motion.n_frames, path)
-            plain.append(np.concatenate([vectors, condition], axis=1))
+            variants = [(plain, motion, path, condition)]
             if is_mirrored:
-                other_path = None if path is None else path.mirror()
-                vectors = self._vectors(item, motion.mirror(), other_path)
-                condition = mirror_condition(condition, self.conditions)
-                mirrored.append(np.concatenate([vectors, condition], axis=1))
-        return np.concatenate([*plain, *mirrored]), {
-            "id": recording.item.id,
-            "fps": recording.fps,
-            "seconds": recording.seconds,
-            "starts": [k / recording.fps for k in range(len(plain))],
+                way = None if path is None else path.mirror()
+                given = mirror_condition(condition, self.conditions)
+                variants.append((mirrored, motion.mirror(), way, given))
+            for rows, moved, way, given in variants:
+                try:
+                    vectors = self.representation.encode(moved, way).astype(np.float32)
+                except MotionError as error:
+                    raise CorpusError(f"{self.config.corpus}: item {item.id}: {error}") from None
+                rows.append(np.concatenate([vectors, given], axis=1))
+        return np.concatenate([*plain, *mirrored]), facts | {
+            "starts": [k / facts["fps"] for k in range(len(plain))],
             "lengths": list(map(len, plain)),
             "mirrored": is_mirrored,
         }
@@ -571,18 +562,14 @@ class VariantArrays:
         """Return all that the rows of an item depend on."""
         known, conditions = self.representation, self.conditions
         used = {"path": self.config.path, "events": self.config.events}
-        tables = [name for name, is_used in used.items() if is_used and self._is_paired]
+        tables = item.conditions.items() if self._is_paired else ()
         return {
             **self.rig.origin(item),
             "vectors": [list(known.joints), known.makes_root, known.scale],
             "references": [known.side.tolist(), known.references.tolist()],
             "conditions": conditions.to_values(),
             "path": [conditions.path_mean.tolist(), conditions.path_scale.tolist()],
-            "tables": {
-                name: file_fingerprint(item.conditions[name])
-                for name in tables
-                if name in item.conditions
-            },
+            "tables": {name: file_fingerprint(path) for name, path in tables if used.get(name)},
             "style": self._style(item),
             "settings": [self.config.fps, self._is_mirrored(item), self._is_paired],
         }
@@ -597,13 +584,6 @@ class VariantArrays:
         wanted = self.config.augmentation.mirror and not handed
         return wanted and can_be_mirrored(self.representation.skeleton)
 
-    def _vectors(self, item: Item, motion: Motion, path: RootPath | None) -> np.ndarray:
-        """Return motion vectors (T, X) float32."""
-        try:
-            return self.representation.encode(motion, path).astype(np.float32)
-        except MotionError as error:
-            raise CorpusError(f"{self.config.corpus}: item {item.id}: {error}") from None
-
     def _condition(self, item: Item, n_frames: int, path: RootPath | None) -> np.ndarray:
         """Return the condition (T, W) float32 beside speech."""
         fps, name = self.config.fps, self._style(item)
@@ -617,15 +597,7 @@ class VariantArrays:
 
 def other_side(name: str) -> str:
     """Swap the words left and right (and l and r) in a name: "kickLeft" to "kickRight"."""
-
-    def swap(match: re.Match[str]) -> str:
-        word = match[0]
-        other = _OTHER_SIDE.get(word.lower(), word)
-        if other == word:
-            return word
-        return other.upper() if word.isupper() else other.title() if word[0].isupper() else other
-
-    return _WORDS.sub(swap, name)
+    return _WORDS.sub(lambda match: _OTHER_SIDE.get(match[0], match[0]), name)
 
 
 def mirror_condition(condition: np.ndarray, layout: Conditions) -> np.ndarray:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
+from gesturekit.diffusion.experts import Expert
 from gesturekit.diffusion.losses import (
     FootVelocity,
     StateDistance,
@@ -84,14 +85,13 @@ class Trainer(BaseTrainer):
         self.batches = Batches(data, config)
         self.normaliser = data.normaliser.to(device)
         self.changes = data.changes().to(device) if config.training.changes else None
-        feet = foot_kinematics(data.representation) if config.training.foot_sliding else None
         self.foot_velocity = self.state_distance = None
+        feet = foot_kinematics(data.representation) if config.training.foot_sliding else None
         if feet is not None:
             self.foot_velocity = FootVelocity(data.representation, feet, config.fps).to(device)
         if data.state_process is not None and config.training.state:
             self.state_distance = StateDistance(data.representation, data.state_process).to(device)
-        if self.processes.is_first:
-            self._log_missing_parts()
+        self._log_missing_parts()
         inputs = [name for name, c in data.conditions.columns.items() if c.stop > c.start]
         mode = f"from {' and '.join(inputs)}" if inputs else "no condition"
         self.announce(["diffusion", mode], self._contents(), config.updates)
@@ -115,9 +115,8 @@ class Trainer(BaseTrainer):
         if self.config.training.ema:
             stored["average"] = self.average
         done, state = self.loop.resume()
-        if state is not None:
-            for name, trained in stored.items():
-                trained.load_state_dict(state[name])
+        for name, values in (state or {}).items():
+            stored[name].load_state_dict(values)
         updates = self.config.updates
         with self.loop.progress([(updates, 1.0)], done):
             for step in self.loop.begin(range(done + 1, updates + 1)):
@@ -154,12 +153,10 @@ class Trainer(BaseTrainer):
         if training.clip:
             nn.utils.clip_grad_norm_(parameters, training.clip)
         self.optimiser.step()
-        if training.ema:
-            # A lower decay at first, so that the initial weights are forgotten soon.
-            kept = min(training.ema, (1 + update) / (10 + update))
-            weights = self.network.state_dict()
-            for name, value in self.average.state_dict().items():
-                value.lerp_(weights[name], 1 - kept)
+        # A lower decay at first, so that the initial weights are forgotten soon.
+        kept, weights = min(training.ema, (1 + update) / (10 + update)), self.network.state_dict()
+        for name, value in self.average.state_dict().items() if training.ema else ():
+            value.lerp_(weights[name], 1 - kept)
         return loss.detach()
 
     def _loss(self, batch: TrainingBatch) -> Tensor:
@@ -195,16 +192,10 @@ class Trainer(BaseTrainer):
         """
         network, schedule = self.average.eval(), self.schedule
         given = torch.from_numpy(condition)[None].to(self.device)
-        predict = network.for_condition(given, range(schedule.steps))
-        shape = (1, len(condition), network.n_motion)
-        noise = torch.randn(shape, generator=rng).to(self.device)
-        vectors = sample(
-            lambda noisy, step: schedule.noise_of(predict(noisy, step), noisy, step),
-            lambda _: noise,
-            schedule,
-            solver="dpm",
-            steps=min(STEPS, schedule.steps),
-        )
+        expert = Expert(network, schedule, given, np.ones(1))
+        noise = torch.randn((1, len(condition), network.n_motion), generator=rng).to(self.device)
+        steps = min(STEPS, schedule.steps)
+        vectors = sample(expert.predict, lambda _: noise, schedule, solver="dpm", steps=steps)
         values = self.data.normaliser.inverse(vectors[0].cpu()).double().numpy()
         return self.data.decode(values, condition, self.config.fps)
 
@@ -239,9 +230,8 @@ class Trainer(BaseTrainer):
         for k, recording in enumerate(self.data.paired[:CALIBRATING_CLIPS]):
             rng = rng_for(config.seed, "calibration", k)
             condition = recording.condition[: round(CALIBRATING_SECONDS * process.fps)].copy()
-            style = None
-            if self.data.conditions.styles:
-                style = int(condition[0, columns["styles"]].argmax())
+            styles = condition[0, columns["styles"]]
+            style = int(styles.argmax()) if len(styles) else None
             speech = condition[:, columns["speech"]].T
             wanted = process.draw(rng.initial_seed() >> 1, speech, (None, style))
             condition[:, columns["state"]] = process.given(wanted).T
@@ -259,9 +249,8 @@ class Trainer(BaseTrainer):
         """Return the model with this network and process of the state of movement."""
         training = self.config.training
         # Unpaired motion has no conditions but the state, just like windows with condition dropout.
-        unconditional = training.dropout_condition or self.data.unpaired_seconds
         droppable = {
-            "all": unconditional,
+            "all": training.dropout_condition or self.data.unpaired_seconds,
             "styles": training.dropout_style,
             "state": training.dropout_state,
         }
@@ -285,27 +274,26 @@ class Trainer(BaseTrainer):
         config, data = self.config, self.data
         share = config.unpaired.share if config.unpaired is not None else 0.0
         windows = config.updates * config.training.batch * (1 - share)
-        count = drawn(windows * config.training.window / data.seconds)
-        unpaired = data.unpaired_seconds
+        count, unpaired = windows * config.training.window / data.seconds, data.unpaired_seconds
         return {
             "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
             "Not used": "; ".join(self.unused),
-            "Use of the recordings": f"a second is drawn about {count}",
+            "Use of the recordings": f"a second is drawn about {drawn(count)}",
         }
 
     def _log_missing_parts(self) -> None:
         """Log in one line the features that training lacks if body parts cannot be identified."""
-        skeleton = self.data.representation.skeleton
-        follows = []
-        if self.config.augmentation.mirror and not can_be_mirrored(skeleton):
-            follows.append("no mirrored recordings")
-        if self.config.training.foot_sliding and self.foot_velocity is None:
-            follows.append("no loss on foot sliding")
-        if self.config.joints == "body":
-            follows.append("all joints are modelled")
+        training, skeleton = self.config.training, self.data.representation.skeleton
+        lacking = {
+            "no mirrored recordings": self.config.augmentation.mirror
+            and not can_be_mirrored(skeleton),
+            "no loss on foot sliding": training.foot_sliding and self.foot_velocity is None,
+            "all joints are modelled": self.config.joints == "body",
+        }
+        follows = ", ".join(text for text, is_so in lacking.items() if is_so)
         missing = unidentified(skeleton)
-        if missing and follows:
-            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
+        if missing and follows and self.processes.is_first:
+            log.info(UNIDENTIFIED, missing.capitalize(), follows)
 
     def _contents(self) -> list[str]:
         """Return a description of the training data for the log."""
@@ -315,24 +303,21 @@ class Trainer(BaseTrainer):
             contents.append(f"{roughly(data.unpaired_seconds)} of unpaired motion")
         if len(data.recordings) > len(data.sources):
             contents.append(f"{counted(len(data.recordings), 'sequence')} with their variants")
-        speech = conditions.columns["speech"].stop
-        counts = {"speech feature": speech, "event": len(conditions.events)}
-        counts["style"] = len(conditions.styles)
-        return contents + [counted(count, noun) for noun, count in counts.items() if count]
+        nouns = {"speech": "speech feature", "events": "event", "styles": "style"}
+        widths = {nouns[k]: c.stop - c.start for k, c in conditions.columns.items() if k in nouns}
+        return contents + [counted(count, noun) for noun, count in widths.items() if count]
 
     def estimate(self) -> Estimate:
         """Estimate the cost of the training from a few updates.
 
         They change the networks: for a run that is not kept.
         """
-        data, conditions = self.data, self.data.conditions
+        data, conditioner = self.data, self.data.conditions.conditioner
         update = quickest(lambda: float(self._update(0)), 4)
         phases = 1 + max(sequence.phase for sequence in data.recordings)
         number = 4 * self.config.fps * phases  # bytes a second, float32
-        variants = 1 + data.recordings[-1].mirrored
-        beside_speech = conditions.width - conditions.columns["speech"].stop
-        motion = number * variants * (data.representation.n_features + beside_speech)
-        raw = 0.0
-        if conditions.conditioner is not None:
-            raw = number * (conditions.conditioner.extractor.dim + 1)
+        beside_speech = data.conditions.width - data.conditions.columns["speech"].stop
+        width = data.representation.n_features + beside_speech
+        motion = number * (1 + data.recordings[-1].mirrored) * width
+        raw = 0.0 if conditioner is None else number * (conditioner.extractor.dim + 1)
         return Estimate(self.config.updates * update, (motion + raw, motion))
