@@ -265,10 +265,7 @@ def style_weights(names: Sequence[str], wanted: str, n_frames: int, fps: float) 
             problems.append(f"{name} is named twice for the same time")
         named[number] = None if weight is None else float(weight)
     if "" in spans and len(spans) > 1:
-        problems.append(
-            "some styles have a span of seconds and some have none; give all or none of them one, "
-            "as in old@0-10,angry@10-20"
-        )
+        problems.append("give all styles a span of seconds, or none: old@0-10,angry@10-20")
     mixtures = np.zeros((len(spans), len(names)))
     for row, weights in zip(mixtures, spans.values(), strict=True):
         given = [weight for weight in weights.values() if weight is not None]
@@ -337,10 +334,8 @@ def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) 
             weight = weight_track(weight, n_frames, fps)
         values = None if weight is None else np.atleast_1d(np.asarray(weight, dtype=np.float64))
         if values is not None and values.shape not in ((1,), (n_frames,)):
-            raise ModelError(
-                f"weights of an expert have shape {values.shape}; expected a number or "
-                f"({n_frames},), one for each frame"
-            )
+            right = f"a number or ({n_frames},), one for each frame"
+            raise ModelError(f"weights of an expert have shape {values.shape}; expected {right}")
         weights.append(values)
     rest = np.ones(1) - sum(weight for weight in weights if weight is not None)
     shares = sum(weight is None for weight in weights)

@@ -27,10 +27,11 @@ import torch
 from torch import Tensor
 
 from gesturekit.diffusion.conditions import SUM_TOLERANCE, style_weights, weights_over_time
+from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
 from gesturekit.errors import ModelError
-from gesturekit.state.files import mood_seed
+from gesturekit.state.files import given_state, mood_seed
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:
@@ -221,15 +222,21 @@ def _random_style(model: DiffusionModel, request: Request, number: int) -> int:
 def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None:
     """Return the state of movement (C, T) of each sample, for all experts; None without any.
 
-    It is drawn for the first model with a state, in its style.
+    It is that of the request, or of the motion to start from; else it is drawn for the first model
+    with a state, in its style.
     """
-    if request.state is not None:
-        return [request.state] * len(numbers)
     members = (member for member in request.members if member.model.state_process is not None)
     model, _, name = next(members, request.members[0])
+    controls = request.controls
     if (process := model.state_process) is None:
         return None
-    controls, styles = request.controls, [None] * len(numbers)
+    if controls["state"] is not None:
+        return [given_state(process, controls["state"], request.n_frames).T] * len(numbers)
+    if request.start is not None:
+        vectors = model.normaliser.inverse(request.start[0].cpu()).numpy()
+        about = model.representation, process.channels, process.fps
+        return [measured_state(vectors, *about)] * len(numbers)
+    styles = [None] * len(numbers)
     if model.styles and name is not None:
         weights = style_weights(model.styles, name, request.n_frames, request.fps)
         styles = [int(weights.sum(axis=0).argmax())] * len(numbers)
@@ -237,12 +244,9 @@ def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None
         styles = [_random_style(model, request, number) for number in numbers]
     speech = request.condition(model.conditions)[:, model.conditions.columns["speech"]].T
     seed = mood_seed(request.seed, controls)
-    return [
-        process.draw(
-            rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1,
-            speech,
-            (controls["speaker"], style),
-            liveliness=controls["liveliness"],
-        )
-        for number, style in zip(numbers, styles, strict=True)
-    ]
+    amount, states = controls["liveliness"], []
+    for number, style in zip(numbers, styles, strict=True):
+        own = rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1
+        group = controls["speaker"], style
+        states.append(process.draw(own, speech, group, liveliness=amount))
+    return states

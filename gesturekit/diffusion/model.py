@@ -135,19 +135,12 @@ class DiffusionModel(TrainedModel):
         check_controls(self, asked, samples)
         return asked
 
-    def stream(
-        self,
-        sample_rate: int,
-        look_ahead: float = 0.2,
-        seed: int = 0,
-        item: str = "",
-        **controls: Unpack[DiffusionControls],
-    ) -> MotionStream:
+    def stream(self, *args: Any, **keywords: Any) -> MotionStream:
         """Raise ModelError: the model cannot stream."""
-        raise ModelError(
-            f"a {self.kind} model generates whole motions only: multires models with acoustic "
-            "features and a state of movement can stream, such as own_corpus"
+        others = (
+            "multires models with acoustic features and a state of movement, as own_corpus, can"
         )
+        raise ModelError(f"a {self.kind} model makes whole motions and cannot stream: {others}")
 
     def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
         """Return the state of movement (C, T) of motion vectors (T, X), in their own units."""

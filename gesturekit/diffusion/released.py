@@ -88,10 +88,8 @@ def convert_checkpoint(
         scaler = checkpoint.scalers.get(name)
         count = 0 if scaler is None else len(scaler[0])
         if count != len(names) or len(set(names)) < count:
-            raise ModelError(
-                f"{path}: {count} {what}; {len(names)} names are given: they must be as many, and "
-                "different"
-            )
+            wrong = f"{len(names)} names are given: they must be as many, and different"
+            raise ModelError(f"{path}: {count} {what}; {wrong}")
     vector = ReleasedVector.on(motion, columns)
     fps = _frame_rate(checkpoint)
     conditions = Conditions(_conditioner(checkpoint, fps), styles=tuple(styles))
@@ -100,7 +98,7 @@ def convert_checkpoint(
         network = _network(checkpoint, config, vector.order, conditions.width)
     except (ModelError, af.WeightsError):
         raise
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, RuntimeError) as error:
         raise ModelError(f"{path}: settings or tensors that do not fit: {error}") from error
     return DiffusionModel(
         fps=fps,
@@ -180,17 +178,11 @@ class ReleasedVector:
                 f"joint, {root}_Yposition, {', '.join(_STEPS)}, each once"
             )
         length = _CENTIMETRE / fields["scale"]
-        return cls(
-            DeltaRepresentation(
-                **fields,
-                makes_root=True,
-                side=np.eye(3)[0],
-                references=np.tile(IDENTITY, (len(fields["joints"]), 1)),
-                turn_first=True,
-            ),
-            [list(columns).index(name) for name in ours],
-            np.array([1.0] * len(maps) + [length, 1.0, length, length]),
-        )
+        turns, side = np.tile(IDENTITY, (len(fields["joints"]), 1)), np.eye(3)[0]
+        own = {"makes_root": True, "side": side, "references": turns, "turn_first": True}
+        order = [list(columns).index(name) for name in ours]
+        units = np.array([1.0] * len(maps) + [length, 1.0, length, length])
+        return cls(DeltaRepresentation(**fields, **own), order, units)
 
     def normaliser(self, *scales: np.ndarray) -> Normaliser:
         """Return mean and scale of our vector, from those of the released one."""

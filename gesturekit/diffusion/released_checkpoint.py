@@ -108,10 +108,8 @@ def read_checkpoint(path: Path) -> ReleasedCheckpoint:
         WeightsError: its tensors claim more numbers than the file has.
     """
     if path.suffix.lower() in (".sav", ".pkl"):
-        raise ModelError(
-            f"{path}: a pickle of Python objects, which can run code and is never read. Rig, "
-            "styles and features are given by --rig, --styles and --features; give the .ckpt"
-        )
+        how = "give the .ckpt, with --rig, --styles and --features in place of this file"
+        raise ModelError(f"{path}: a pickle, which can run code and is never read: {how}")
     file = io.BytesIO(read_bytes(path, _MOST, ModelError))
     try:
         check_directory(path, zip64=True)
@@ -125,10 +123,8 @@ def read_checkpoint(path: Path) -> ReleasedCheckpoint:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ModelError(f"{path}: cannot be read as a checkpoint: {reason}") from error
     if unsafe:
-        raise ModelError(
-            f"{path}: holds {unsafe}, which could run code; nothing was read. A checkpoint of "
-            "the released code has tensors, numbers, text and StandardScaler only"
-        )
+        usual = "a checkpoint has tensors, numbers, text and StandardScaler only"
+        raise ModelError(f"{path}: holds {unsafe}, which could run code; nothing was read: {usual}")
     try:
         state, settings = content["state_dict"], content["hyper_parameters"]
         data, diffusion = dict(settings["Data"]), dict(settings["Diffusion"])
@@ -136,10 +132,8 @@ def read_checkpoint(path: Path) -> ReleasedCheckpoint:
         tensors = plain_tensors(path, state)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         why = f"no entry {error}" if isinstance(error, KeyError) else error
-        raise ModelError(
-            f"{path}: no checkpoint of Listen, Denoise, Action! ({why}); expected the .ckpt that "
-            "its training wrote"
-        ) from error
+        what = "no checkpoint of Listen, Denoise, Action!, the .ckpt that its training wrote"
+        raise ModelError(f"{path}: {what}: {why}") from error
     prefix = "diffusion_model."
     ours = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
     return ReleasedCheckpoint(path, ours, data, diffusion, scalers)

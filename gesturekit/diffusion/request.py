@@ -28,18 +28,12 @@ from gesturekit.diffusion.conditions import (
     weight_track,
 )
 from gesturekit.diffusion.controls import DiffusionControls
-from gesturekit.diffusion.motion_vector import measured_state
-from gesturekit.diffusion.noise_schedule import (
-    MAX_DEVIATION,
-    chosen_steps,
-    last_step_with_signal,
-)
+from gesturekit.diffusion.noise_schedule import MAX_DEVIATION, chosen_steps, last_step_with_signal
 from gesturekit.errors import ModelError
 from gesturekit.formats.tables import as_root_path
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.postprocess import Placement
-from gesturekit.state.files import given_state
 from gesturekit.training.clips import InbetweenClips
 from gesturekit.training.own_rig import on_rig, pose_on_rig
 
@@ -108,9 +102,7 @@ def _problems(model: DiffusionModel, controls: DiffusionControls, samples: int) 
         if controls["keep"] is not None:
             yield "keep: this model follows a path, which moves the body"
     elif (path := controls["path"]) is not None:
-        yield (
-            f"path={path!r}: this model generates the root motion itself and cannot follow a path"
-        )
+        yield f"path={path!r}: this model generates the root motion and cannot follow a path"
     for number, expert in enumerate(controls["experts"], start=1):
         if not 1 <= len(expert) <= 3:
             yield f"expert {number}: expected (model, weight) or + (style,)"
@@ -120,10 +112,8 @@ def _problems(model: DiffusionModel, controls: DiffusionControls, samples: int) 
         yield f"style={style!r}: this model has no styles"
     guidance, unconditional = controls["guidance"], controls["unconditional"]
     if (gamma := controls["state_guidance"]) is not None and "state" not in model.droppable:
-        yield (
-            f"state_guidance={gamma:g}: this model was trained without dropout of the state "
-            "(training.dropout_state above 0)"
-        )
+        how = "of the state (training.dropout_state above 0)"
+        yield f"state_guidance={gamma:g}: this model was trained without dropout {how}"
     if unconditional is not None:
         if guidance is None:
             yield "unconditional: only used with guidance; give guidance too"
@@ -135,10 +125,8 @@ def _problems(model: DiffusionModel, controls: DiffusionControls, samples: int) 
             yield f"guidance={guidance:g}: this model has no conditions to guide on"
         if not ("all" in model.droppable or (model.styles and "styles" in model.droppable)):
             what = "style" if model.styles else "condition"
-            yield (
-                f"guidance={guidance:g}: this model was trained without {what} dropout "
-                f"(training.dropout_{what} above 0); give an unconditional model beside it"
-            )
+            how = f"(training.dropout_{what} above 0); give an unconditional model beside it"
+            yield f"guidance={guidance:g}: this model was trained without {what} dropout {how}"
 
 
 def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
@@ -162,15 +150,13 @@ def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
     ratio = other.normaliser.scale / first.normaliser.scale
     worst = float(ratio[(ratio.log().abs()).argmax()])
     places = (theirs.references, ours.references), (theirs.side, ours.side)
+    is_size = math.isclose(theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE)
+    is_pose = all(np.allclose(*pair, atol=1e-6) for pair in places)
+    is_scale = abs(worst - 1) <= _SCALE_TOLERANCE
     same = {
-        "lengths are relative to another body size": math.isclose(
-            theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE
-        ),
-        "rotations are relative to other mean rotations": all(
-            np.allclose(*pair, atol=1e-6) for pair in places
-        ),
-        f"motion has another scale (by up to a factor of {worst:.3g})": abs(worst - 1)
-        <= _SCALE_TOLERANCE,
+        "lengths are relative to another body size": is_size,
+        "rotations are relative to other mean rotations": is_pose,
+        f"motion has another scale (by up to a factor of {worst:.3g})": is_scale,
     }
     for reason in (text for text, is_same in same.items() if not is_same):
         yield f"its {reason}; train one with moves_like: the other, to share motion vectors"
@@ -201,8 +187,6 @@ class Request:
             starts (SDEdit, Meng et al. 2022); None for pure noise.
         clips: those of in-betweening; None for none.
         place: x and z in metres and heading in radians of the first frame, without a path.
-        state: channels (C, T) of the state of movement that is given, or that of the motion to
-            start from; None to draw it.
         wave: the sound; None for silence.
         path: the smoothed path of the root, T frames at `fps`; None for a model without one.
         events: in order of time.
@@ -240,10 +224,8 @@ class Request:
             if speech is None and seconds is None and path is None:
                 seconds = like.duration
         if path is None and model.conditions.path:
-            raise ModelError(
-                "path: this model follows a path and needs one: a .csv with columns "
-                "time,x,z[,heading], or a motion file"
-            )
+            how = "a .csv with columns time,x,z[,heading], or a motion file"
+            raise ModelError(f"path: this model follows a path and needs one: {how}")
         followed = None if path is None else as_root_path(path, model.representation.scale)
         if controls["keep"] is not None:
             self.clips = InbetweenClips(controls["keep"], model.representation, fps)
@@ -274,7 +256,6 @@ class Request:
             self.start = _noised(model, like, lift, n_frames, controls["change"])
             own = model.representation.path_of(like)
             self.place = (*own.positions[0], own.headings[0])
-        self.state = _known_state(members, controls, self.start, n_frames)
         self.path = None if followed is None else smooth_path(followed, fps, n_frames)
         self.events = () if events is None else asked_events(events, self.wave)
         read_pose = partial(pose_on_rig, model.representation)
@@ -336,22 +317,3 @@ def _noised(
     # Another rig may bend joints that hardly move in the training data.
     clean = vectors.clamp(-MAX_DEVIATION, MAX_DEVIATION).to(model.device)
     return clean, int((level - wanted).abs().argmin())
-
-
-def _known_state(
-    members: Sequence[Member],
-    controls: DiffusionControls,
-    start: tuple[Tensor, int] | None,
-    n_frames: int,
-) -> np.ndarray | None:
-    """Return the state (C, T) that is given, or that of the motion to start from; else None."""
-    model = next((m.model for m in members if m.model.state_process is not None), None)
-    if model is None or model.state_process is None:
-        return None
-    process = model.state_process
-    if controls["state"] is not None:
-        return given_state(process, controls["state"], n_frames).T
-    if start is None:
-        return None
-    vectors = model.normaliser.inverse(start[0].cpu()).numpy()
-    return measured_state(vectors, model.representation, process.channels, process.fps)

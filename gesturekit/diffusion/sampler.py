@@ -115,10 +115,8 @@ def _decoded(request: Request, vector: Tensor) -> Motion:
             start=request.place,
         )
     except MotionError as error:
-        raise ModelError(
-            f"the generated motion is out of range ({error}); the model was trained too "
-            "little, or the expert weights are too extreme"
-        ) from None
+        why = "the model was trained too little, or the expert weights are too extreme"
+        raise ModelError(f"the generated motion is out of range ({error}); {why}") from None
 
 
 def _counted(predict: Predict, progress: Progress) -> Predict:
@@ -186,15 +184,12 @@ def tiled(experts: Sequence[Expert], n_frames: int, size: int) -> Predict:
 
 def _within(experts: Sequence[Expert], frames: slice) -> list[Expert]:
     """Return the experts with a weight in these frames, cut to them."""
-    cut = [
-        replace(
-            expert,
-            condition=expert.condition[:, frames],
-            weight=expert.weight[frames] if expert.weight.size > 1 else expert.weight,
-        )
-        for expert in experts
-    ]
-    return [expert for expert in cut if np.abs(expert.weight).max() > 0]
+    cut = []
+    for expert in experts:
+        weight = expert.weight[frames] if expert.weight.size > 1 else expert.weight
+        if np.abs(weight).max() > 0:
+            cut.append(replace(expert, condition=expert.condition[:, frames], weight=weight))
+    return cut
 
 
 class InbetweenConstraint:

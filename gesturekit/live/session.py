@@ -340,9 +340,8 @@ class Session:
         try:
             opened = [self._opened(sink, source, example) for sink in self.sinks]
         except ImportError as error:
-            raise ConfigError(
-                f"{error.name} is not installed; run: pip install 'gesturekit[live]'"
-            ) from None
+            how = "pip install 'gesturekit[live]'"
+            raise ConfigError(f"{error.name} is not installed; run: {how}") from None
         report.latency = stream.latency + self.block
         latest = time.monotonic() + (0 if source.is_live else _PAGE_SECONDS)
         while not all(getattr(sink, "is_open", True) for sink in opened):

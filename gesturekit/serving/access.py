@@ -39,9 +39,8 @@ def listen(
     except OSError as error:
         # The message of `create_server` repeats the address.
         reason = (error.strerror or str(error)).partition(" (while")[0]
-        raise ConfigError(
-            f"--host {host} --port {port}: {reason}; another --port may be free"
-        ) from None
+        reason = f"{reason}; another --port may be free"
+        raise ConfigError(f"--host {host} --port {port}: {reason}") from None
     is_any = host in _ALL_INTERFACES and not names
     shown = f"[{host}]" if ":" in host else host
     url = f"http://{shown}:{listening.getsockname()[1]}/"
@@ -57,16 +56,12 @@ def _token_of(host: str, file: Path | None) -> str | None:
     if file is None and TOKEN not in os.environ:
         if host in LOOPBACK:
             return None
-        raise ConfigError(
-            f"--host {host} is reached from other machines: give a token by --token-file or "
-            f"${TOKEN}"
-        )
+        how = f"give a token by --token-file or ${TOKEN}"
+        raise ConfigError(f"--host {host} is reached from other machines: {how}")
     token = os.environ[TOKEN] if file is None else file.read_text(encoding="utf-8").strip()
     if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
-        raise ConfigError(
-            "the token must be at least 16 printable ASCII characters without spaces, such as "
-            "those of: openssl rand -hex 16"
-        )
+        rule = "at least 16 printable ASCII characters without spaces"
+        raise ConfigError(f"the token must be {rule}, such as those of: openssl rand -hex 16")
     return token
 
 
@@ -95,6 +90,5 @@ def check_token(request: HTTPConnection, token: str | None) -> None:
     """
     given = request.headers.get("authorization", "").encode()
     if token is not None and not hmac.compare_digest(given, f"Bearer {token}".encode()):
-        raise HTTPException(
-            401, "send the header Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"}
-        )
+        headers = {"WWW-Authenticate": "Bearer"}
+        raise HTTPException(401, "send the header Authorization: Bearer TOKEN", headers)

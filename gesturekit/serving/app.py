@@ -254,11 +254,8 @@ class _Service:
         if not inputs.speech:
             problem = "this model has no speech input; serve one that has"
         elif inputs.words or inputs.files:
-            problem = (
-                "this model reads a file beside each sound (own features, or words), which a "
-                "request does not bring: use gesturekit render, or compute the features by an "
-                "installed extractor"
-            )
+            how = "use gesturekit render, or compute the features by an installed extractor"
+            problem = f"this model reads a file beside each sound (own features, or words): {how}"
         if problem:
             raise GestureKitError(problem)
         self._model.generate(af.Wave.load(bundled_speech(), duration=1.0))
@@ -336,10 +333,9 @@ class _Service:
         controls = asked.model_dump(exclude={"format"}, exclude_unset=True)
         rate = controls.get("fps") or self._model.recorded_fps
         if (n_frames := wave.n_frames(rate)) > self.limits.frames:
-            raise GestureKitError(
-                f"{wave.duration:g} s at {rate:g} frames per second are {n_frames} frames; this "
-                f"service makes at most {self.limits.frames:g}: give a lower fps, or less sound"
-            )
+            longest = f"at most {self.limits.frames:g}: give a lower fps, or less sound"
+            long = f"{wave.duration:g} s at {rate:g} frames per second are {n_frames} frames"
+            raise GestureKitError(f"{long}; this service makes {longest}")
         motion = self._model.generate(wave, **controls)
         out = sound.with_name(f"motion.{asked.format}")
         extra = {"audio": sound, "title": "motion"} | drawing_options(self._model)

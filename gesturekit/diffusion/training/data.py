@@ -30,12 +30,7 @@ from gesturekit.training.model_folder import (
     rig_values,
     save_data,
 )
-from gesturekit.training.origin import (
-    TrainedSegment,
-    from_values,
-    read_start,
-    start_tensors,
-)
+from gesturekit.training.origin import TrainedSegment, from_values, read_start, start_tensors
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +144,8 @@ def sequences_of(
                 name = array.facts["id"]
                 name += f" (phase {phase + 1})" if phase else ""
                 name += " (mirrored)" if mirrored else ""
-                vectors, condition = (
-                    rows(slice(width)),
-                    rows(slice(width, None), n_speech, features),
-                )
+                vectors = rows(slice(0, width))
+                condition = rows(slice(width, None), n_speech, features)
                 about = i < len(motion), i, phase, mirrored
                 sequences.append(TrainingSequence(name, vectors, condition, *about))
                 first += length

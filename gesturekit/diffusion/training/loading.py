@@ -191,14 +191,13 @@ def _encoded(
     paired = VariantArrays(config, recordings.rig(config, config.parts), representation, conditions)
     makers = paired, replace(paired, rig=corpus.unpaired_rig)
     if config.path and config.start_from is None:
-        deltas = np.concatenate(
-            [
-                maker.path(*phase).scaled(1 / representation.scale).deltas()
-                for maker, read in zip(makers, (corpus.read, corpus.unpaired), strict=True)
-                for _, phases in read
-                for phase in phases
-            ]
-        )
+        steps = [
+            maker.path(*phase).scaled(1 / representation.scale).deltas()
+            for maker, read in zip(makers, (corpus.read, corpus.unpaired), strict=True)
+            for _, phases in read
+            for phase in phases
+        ]
+        deltas = np.concatenate(steps)
         scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / config.fps)
         conditions = replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
     beside_speech = replace(conditions, conditioner=None)
@@ -213,10 +212,7 @@ def _encoded(
 
 
 def _speech(
-    corpus: Corpus,
-    motion: Sequence[Array],
-    speech: SpeechArrays,
-    known: SpeechConditioner | None,
+    corpus: Corpus, motion: Sequence[Array], speech: SpeechArrays, known: SpeechConditioner | None
 ) -> tuple[SpeechConditioner, Sequence[Array]]:
     """Return a conditioner, and the arrays of the speech of each phase.
 
@@ -363,10 +359,8 @@ class UnpairedRig:
             motion = retarget(motion, rig, pose=self._standing_pose)
             motion = replace(motion, skeleton=self.usual.skeleton)
         except MotionError as error:
-            raise CorpusError(
-                f"{self.source}: item {item.id}: cannot be retargeted to the rig of {self.corpus}: "
-                f"{error}"
-            ) from None
+            why = f"cannot be retargeted to the rig of {self.corpus}: {error}"
+            raise CorpusError(f"{self.source}: item {item.id}: {why}") from None
         # The floor of a foreign file is unknown; take that of the corpus.
         lift = self._floor_height - floor_height(motion)
         return replace(motion, translation=motion.translation + [0.0, lift, 0.0])
@@ -454,20 +448,16 @@ def read_corpus(config: DiffusionConfig, *, trial: bool) -> Corpus:
     if config.events:
         names.update(event.name for item in recordings.items for event in item.load_events())
         if not names:
-            raise CorpusError(
-                f"{config.corpus}: no training item has events; put STEM.events.csv beside the "
-                "recordings and run gesturekit prepare again, or train without (events=false)"
-            )
+            how = "put STEM.events.csv beside recordings and prepare again, or set events=false"
+            raise CorpusError(f"{config.corpus}: no training item has events: {how}")
     return Corpus(config, recordings, read, tuple(sorted(names)), rig, excerpts, unpaired)
 
 
 def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:
     for name in config.styles.handed if config.styles is not None else ():
         if name not in styles and name not in HANDED:
-            raise ConfigError(
-                f"styles.handed: {name!r} is not a style of {config.corpus}, which has "
-                f"{', '.join(styles)}"
-            )
+            known = f"{config.corpus}, which has {', '.join(styles)}"
+            raise ConfigError(f"styles.handed: {name!r} is not a style of {known}")
 
 
 def _unpaired_corpus(config: DiffusionConfig) -> Path:
@@ -485,10 +475,8 @@ def _unpaired(config: DiffusionConfig, manifest: Manifest) -> tuple[Item, ...]:
     else:
         items = training_items(Manifest.load(where), where, with_audio=False)
     if not items:
-        raise CorpusError(
-            f"{where}: no item of split train is motion alone; name a manifest of motion by "
-            "unpaired.corpus, or train without (unpaired=null)"
-        )
+        how = "name a manifest of motion by unpaired.corpus, or train without (unpaired=null)"
+        raise CorpusError(f"{where}: no item of split train is motion alone; {how}")
     return items
 
 
@@ -621,9 +609,7 @@ def mirror_condition(condition: np.ndarray, layout: Conditions) -> np.ndarray:
     for name, column in zip(names, range(events.start, events.stop), strict=True):
         other = other_side(name)
         if other not in names:
-            raise ConfigError(
-                f"event {name!r}: mirrored it would be {other!r}, which is not an event of the "
-                "corpus; rename it, or train without mirror"
-            )
+            how = "which is not an event of the corpus; rename it, or train without mirror"
+            raise ConfigError(f"event {name!r}: mirrored it would be {other!r}, {how}")
         mirrored[:, column] = condition[:, events.start + names.index(other)]
     return mirrored

@@ -284,9 +284,9 @@ class Trainer(BaseTrainer):
     def _log_missing_parts(self) -> None:
         """Log in one line the features that training lacks if body parts cannot be identified."""
         training, skeleton = self.config.training, self.data.representation.skeleton
+        mirrors = self.config.augmentation.mirror
         lacking = {
-            "no mirrored recordings": self.config.augmentation.mirror
-            and not can_be_mirrored(skeleton),
+            "no mirrored recordings": mirrors and not can_be_mirrored(skeleton),
             "no loss on foot sliding": training.foot_sliding and self.foot_velocity is None,
             "all joints are modelled": self.config.joints == "body",
         }
