@@ -158,18 +158,15 @@ def _unsafe_name(file: BinaryIO) -> str | None:
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         pickled = [member for member in members if member.filename.endswith("data.pkl")]
+        claimed = sum(member.file_size for member in members)
+        is_one = len(pickled) == 1 and pickled[0].file_size <= _MOST_PICKLED
         problems = {
             "it is compressed, which torch never does": any(m.compress_type for m in members),
-            "its members claim more bytes than the file has": (
-                sum(member.file_size for member in members) > file.seek(0, io.SEEK_END)
-            ),
-            "not one data.pkl of at most 16 MiB": (
-                len(pickled) != 1 or pickled[0].file_size > _MOST_PICKLED
-            ),
+            "its members claim more bytes than the file has": claimed > file.seek(0, io.SEEK_END),
+            "not one data.pkl of at most 16 MiB": not is_one,
         }
-        for problem, is_so in problems.items():
-            if is_so:
-                raise ValueError(problem)
+        if problem := next((text for text, is_so in problems.items() if is_so), None):
+            raise ValueError(problem)
         content = archive.read(pickled[0])
     for operation, argument, _ in pickletools.genops(content):
         if operation.name == "STACK_GLOBAL":

@@ -160,12 +160,10 @@ def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
     }
     for reason in (text for text, is_same in same.items() if not is_same):
         yield f"its {reason}; train one with moves_like: the other, to share motion vectors"
-    noises = [
-        f"{noise.steps} steps, beta {noise.first_beta:g} to {noise.last_beta:g}"
-        for noise in (first.noise_config, other.noise_config)
-    ]
-    if noises[0] != noises[1]:
-        yield f"its noise schedule has {noises[1]}, that of this model {noises[0]}"
+    schedule = "{0.steps} steps, beta {0.first_beta:g} to {0.last_beta:g}".format
+    its, own = schedule(other.noise_config), schedule(first.noise_config)
+    if its != own:
+        yield f"its noise schedule has {its}, that of this model {own}"
 
 
 class Request:

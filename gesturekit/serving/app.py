@@ -6,13 +6,12 @@ See docs/serve.md. The pages load nothing from elsewhere.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import logging
 import re
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from html import escape
@@ -294,11 +293,11 @@ class _Service:
 
         Everything that a request writes lies in a folder of its own, under fixed names.
         """
+        if self._admitted >= self.limits.workers + self.limits.queue:
+            raise HTTPException(503, "all workers are busy", {"Retry-After": "10"})
+        self._admitted += 1
         try:
-            with (
-                self._place_in_queue(),
-                tempfile.TemporaryDirectory(prefix="gesturekit-serve-") as folder,
-            ):
+            with tempfile.TemporaryDirectory(prefix="gesturekit-serve-") as folder:
                 sound = Path(folder) / "speech"
                 await receive(request, sound, self.limits)
                 loop = asyncio.get_running_loop()
@@ -314,15 +313,6 @@ class _Service:
                 raise HTTPException(503, "the disk of the service is full") from None
             log.exception("a request failed")
             raise HTTPException(500, "the motion could not be made; see the log") from None
-
-    @contextlib.contextmanager
-    def _place_in_queue(self) -> Iterator[None]:
-        """Hold a place in the queue; refuse the request if there is none."""
-        if self._admitted >= self.limits.workers + self.limits.queue:
-            raise HTTPException(503, "all workers are busy", {"Retry-After": "10"})
-        self._admitted += 1
-        try:
-            yield
         finally:
             self._admitted -= 1
 

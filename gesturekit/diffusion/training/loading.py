@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -152,7 +152,7 @@ def _representation(corpus: Corpus, like: DiffusionModel | None) -> DeltaReprese
     because motion vectors of experts must have the same unit of length.
     """
     config = corpus.config
-    motions = [motion for _, phases in corpus.read for _, motion in phases]
+    motions = [motion for _, phases in corpus.parts[0].read for _, motion in phases]
     if like is None:
         return DeltaRepresentation.fit(motions, config.joints, root=not config.path)
     setting = "moves_like" if config.start_from is None else "start_from"
@@ -187,28 +187,28 @@ def _encoded(
     With them, the conditions: unless a model to start from has them, mean and scale of the paths'
     displacements are fitted to the recordings that were read.
     """
-    config, recordings = corpus.config, corpus.recordings
-    paired = VariantArrays(config, recordings.rig(config, config.parts), representation, conditions)
-    makers = paired, replace(paired, rig=corpus.unpaired_rig)
+    config = corpus.config
+    makers = [VariantArrays(config, p.rig, representation, conditions) for p in corpus.parts]
     if config.path and config.start_from is None:
         steps = [
             maker.path(*phase).scaled(1 / representation.scale).deltas()
-            for maker, read in zip(makers, (corpus.read, corpus.unpaired), strict=True)
-            for _, phases in read
+            for maker, part in zip(makers, corpus.parts, strict=True)
+            for _, phases in part.read
             for phase in phases
         ]
         deltas = np.concatenate(steps)
         scale = np.maximum(deltas.std(axis=0), _STEP_FLOORS / config.fps)
         conditions = replace(conditions, path_mean=deltas.mean(axis=0), path_scale=scale)
     beside_speech = replace(conditions, conditioner=None)
-    paired, alone = (replace(maker, conditions=beside_speech) for maker in makers)
+    makers = [replace(maker, conditions=beside_speech) for maker in makers]
+    pairs = list(zip(makers, corpus.parts, strict=True))
+    arrays: Sequence[Sequence[Array]]
     if corpus.is_in_memory:
-        motion = [ArrayInMemory(*paired.encode(recording)) for recording in corpus.read]
-        unpaired = [ArrayInMemory(*alone.encode(recording)) for recording in corpus.unpaired]
-        return conditions, motion, unpaired
-    wanted = [(paired, recordings.items), (alone, recordings.unpaired)]
-    stored = stored_arrays(config.arrays_folder, wanted, config.workers)
-    return conditions, stored[0], stored[1]
+        arrays = [[ArrayInMemory(*maker.encode(r)) for r in part.read] for maker, part in pairs]
+    else:
+        wanted = [(maker, part.items) for maker, part in pairs]
+        arrays = stored_arrays(config.arrays_folder, wanted, config.workers)
+    return conditions, arrays[0], arrays[1]
 
 
 def _speech(
@@ -247,9 +247,8 @@ def _sampled(corpus: Corpus, recordings: Sequence[TrainingSequence]) -> tuple[Cu
     if corpus.is_in_memory:
         return tuple((i, 0, recording.n_frames) for i, recording in enumerate(recordings))
     sample: dict[int, list[Excerpt]] = {}
-    n_paired, excerpts = len(corpus.recordings.items), corpus.recordings.excerpts or ()
-    for first, chosen in ((0, excerpts), (n_paired, corpus.unpaired_excerpts)):
-        for excerpt in chosen:
+    for first, part in zip((0, len(corpus.recordings.items)), corpus.parts, strict=True):
+        for excerpt in part.excerpts:
             sample.setdefault(first + excerpt.index, []).append(excerpt)
     return tuple(
         (i, *excerpt.frames(corpus.config.fps, recording.n_frames))
@@ -333,15 +332,11 @@ class UnpairedRig:
     """The rig onto which unpaired motion is retargeted.
 
     Attributes:
-        corpus: the manifest of the run, for messages.
-        source: that of the unpaired motion.
-        parts: joints of body parts, see `Skeleton.parts`.
+        config: of the run.
         usual: a recording of the corpus.
     """
 
-    corpus: Path
-    source: Path
-    parts: dict[str, str]
+    config: DiffusionConfig
     usual: Motion
 
     def load(self, item: Item) -> Motion:
@@ -355,12 +350,13 @@ class UnpairedRig:
         if not first_difference(motion.skeleton, self.usual.skeleton):
             return motion
         try:
-            rig = self.usual.skeleton.with_parts(self.parts)
+            rig = self.usual.skeleton.with_parts(dict(self.config.parts))
             motion = retarget(motion, rig, pose=self._standing_pose)
             motion = replace(motion, skeleton=self.usual.skeleton)
         except MotionError as error:
-            why = f"cannot be retargeted to the rig of {self.corpus}: {error}"
-            raise CorpusError(f"{self.source}: item {item.id}: {why}") from None
+            why = f"cannot be retargeted to the rig of {self.config.corpus}: {error}"
+            where = _unpaired_corpus(self.config)
+            raise CorpusError(f"{where}: item {item.id}: {why}") from None
         # The floor of a foreign file is unknown; take that of the corpus.
         lift = self._floor_height - floor_height(motion)
         return replace(motion, translation=motion.translation + [0.0, lift, 0.0])
@@ -372,7 +368,7 @@ class UnpairedRig:
             usual.update(np.ascontiguousarray(values).tobytes())
         return {
             **motion_origin(item),
-            "parts": self.parts,
+            "parts": dict(self.config.parts),
             "rig": [list(skeleton.names), list(skeleton.parents), usual.hexdigest()],
         }
 
@@ -385,28 +381,37 @@ class UnpairedRig:
         return floor_height(self.usual)
 
 
-@dataclass(frozen=True)
-class Corpus:
+class Part(NamedTuple):
+    """Paired recordings of a corpus, or unpaired motion.
+
+    Attributes:
+        rig: reads the motion of an item.
+        items: all of them.
+        excerpts: a sample of the items of a long corpus.
+        read: the items or excerpts that were read; of unpaired motion of a long corpus only those
+            that a path condition is fitted to.
+    """
+
+    rig: Rig | UnpairedRig
+    items: Sequence[Item]
+    excerpts: Sequence[Excerpt]
+    read: list[Recording]
+
+
+class Corpus(NamedTuple):
     """Recordings of a corpus with what the diffusion system adds to them.
 
     Attributes:
         config: of the run.
         recordings: of which `motions` are not used any more.
-        read: the recordings or excerpts that were read.
         events: names of the events of all recordings.
-        unpaired_rig: reads the recordings without speech.
-        unpaired_excerpts: a sample of these; all of them, whole, of a corpus held in memory.
-        unpaired: the excerpts that were read: all in memory, and of a long corpus those that a path
-            condition is fitted to.
+        parts: paired recordings, and unpaired motion.
     """
 
     config: DiffusionConfig
     recordings: Recordings
-    read: list[Recording]
     events: tuple[str, ...]
-    unpaired_rig: UnpairedRig
-    unpaired_excerpts: list[Excerpt]
-    unpaired: list[Recording]
+    parts: tuple[Part, Part]
 
     @property
     def is_in_memory(self) -> bool:
@@ -434,23 +439,26 @@ def read_recordings(config: DiffusionConfig, *, trial: bool) -> Recordings:
 def read_corpus(config: DiffusionConfig, *, trial: bool) -> Corpus:
     """Read the recordings of a run with their events; see `read_recordings`."""
     recordings = read_recordings(config, trial=trial)
-    motions, read = recordings.motions, []
-    rig = UnpairedRig(config.corpus, _unpaired_corpus(config), dict(config.parts), motions[0])
+    motions, items, excerpts = recordings.motions, recordings.unpaired, recordings.excerpts
+    rig = UnpairedRig(config, motions[0])
+    own_rig = recordings.rig(config, config.parts)
+    paired = Part(own_rig, recordings.items, excerpts or (), [])
     for i, item in enumerate(recordings.read):
-        read.append(recording_of(item, motions[i], config.fps))
+        facts, phases = recording_of(item, motions[i], config.fps)
+        paired.read.append((facts, phases))
         # Motion at the rate of its file is released: that of a large corpus fills memory.
-        motions[i] = read[-1][1][0][1]
-    excerpts, unpaired = systematic_sample(recordings.unpaired, 60 * config.in_memory), []
-    if recordings.excerpts is None or (config.path and config.start_from is None):
-        for item in (excerpt.of(recordings.unpaired) for excerpt in excerpts):
-            unpaired.append(recording_of(item, rig.load(item), config.fps))
+        motions[i] = phases[0][1]
+    unpaired = Part(rig, items, systematic_sample(items, 60 * config.in_memory), [])
+    if excerpts is None or (config.path and config.start_from is None):
+        for item in (excerpt.of(items) for excerpt in unpaired.excerpts):
+            unpaired.read.append(recording_of(item, rig.load(item), config.fps))
     names: set[str] = set()
     if config.events:
         names.update(event.name for item in recordings.items for event in item.load_events())
         if not names:
             how = "put STEM.events.csv beside recordings and prepare again, or set events=false"
             raise CorpusError(f"{config.corpus}: no training item has events: {how}")
-    return Corpus(config, recordings, read, tuple(sorted(names)), rig, excerpts, unpaired)
+    return Corpus(config, recordings, tuple(sorted(names)), (paired, unpaired))
 
 
 def _check_handed(config: DiffusionConfig, styles: Sequence[str]) -> None:

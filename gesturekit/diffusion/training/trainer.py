@@ -15,14 +15,14 @@ from torch import Tensor, nn
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
 from gesturekit.diffusion.experts import Expert
 from gesturekit.diffusion.losses import (
-    FootVelocity,
-    StateDistance,
     change_error,
     denoising_error,
     foot_sliding,
+    foot_velocity,
+    state_distance,
 )
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import measured_state
+from gesturekit.diffusion.motion_vector import VectorPlaces, measured_state
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, sample
 from gesturekit.diffusion.training.batches import Batches, TrainingBatch
@@ -85,12 +85,12 @@ class Trainer(BaseTrainer):
         self.batches = Batches(data, config)
         self.normaliser = data.normaliser.to(device)
         self.changes = data.changes().to(device) if config.training.changes else None
-        self.foot_velocity = self.state_distance = None
+        self.foot_places = self.state_places = None
         feet = foot_kinematics(data.representation) if config.training.foot_sliding else None
         if feet is not None:
-            self.foot_velocity = FootVelocity(data.representation, feet, config.fps).to(device)
-        if data.state_process is not None and config.training.state:
-            self.state_distance = StateDistance(data.representation, data.state_process).to(device)
+            self.foot_places = VectorPlaces(data.representation, feet).to(device)
+        if config.training.state:
+            self.state_places = VectorPlaces(data.representation).to(device)
         self._log_missing_parts()
         inputs = [name for name, c in data.conditions.columns.items() if c.stop > c.start]
         mode = f"from {' and '.join(inputs)}" if inputs else "no condition"
@@ -115,8 +115,9 @@ class Trainer(BaseTrainer):
         if self.config.training.ema:
             stored["average"] = self.average
         done, state = self.loop.resume()
-        for name, values in (state or {}).items():
-            stored[name].load_state_dict(values)
+        if state is not None:
+            for name, trained in stored.items():
+                trained.load_state_dict(state[name])
         updates = self.config.updates
         with self.loop.progress([(updates, 1.0)], done):
             for step in self.loop.begin(range(done + 1, updates + 1)):
@@ -153,10 +154,12 @@ class Trainer(BaseTrainer):
         if training.clip:
             nn.utils.clip_grad_norm_(parameters, training.clip)
         self.optimiser.step()
-        # A lower decay at first, so that the initial weights are forgotten soon.
-        kept, weights = min(training.ema, (1 + update) / (10 + update)), self.network.state_dict()
-        for name, value in self.average.state_dict().items() if training.ema else ():
-            value.lerp_(weights[name], 1 - kept)
+        if training.ema:
+            # A lower decay at first, so that the initial weights are forgotten soon.
+            kept = min(training.ema, (1 + update) / (10 + update))
+            weights = self.network.state_dict()
+            for name, value in self.average.state_dict().items():
+                value.lerp_(weights[name], 1 - kept)
         return loss.detach()
 
     def _loss(self, batch: TrainingBatch) -> Tensor:
@@ -171,12 +174,14 @@ class Trainer(BaseTrainer):
         errors = denoising_error(predicted, target)
         if self.changes is not None:
             errors = errors + training.changes * change_error(predicted, target, self.changes)
-        if self.foot_velocity is not None:
-            velocities = (self.foot_velocity(inverse(motion)) for motion in (predicted, target))
-            errors = errors + training.foot_sliding * foot_sliding(*velocities)
-        if self.state_distance is not None:
+        fps = self.config.fps
+        if (places := self.foot_places) is not None:
+            speeds = (foot_velocity(places, inverse(each), fps) for each in (predicted, target))
+            errors = errors + training.foot_sliding * foot_sliding(*speeds)
+        if (process := self.data.state_process) is not None and self.state_places is not None:
             share = self.schedule.alphas_bar.float().to(self.device)[batch.step]
-            distance = self.state_distance(inverse(predicted), inverse(target))
+            motions = inverse(predicted), inverse(target)
+            distance = state_distance(self.state_places, process, *motions)
             errors = errors + training.state * share * distance
         return (self.schedule.loss_weight(batch.step, training.min_snr) * errors).mean()
 
@@ -287,7 +292,7 @@ class Trainer(BaseTrainer):
         mirrors = self.config.augmentation.mirror
         lacking = {
             "no mirrored recordings": mirrors and not can_be_mirrored(skeleton),
-            "no loss on foot sliding": training.foot_sliding and self.foot_velocity is None,
+            "no loss on foot sliding": training.foot_sliding and self.foot_places is None,
             "all joints are modelled": self.config.joints == "body",
         }
         follows = ", ".join(text for text, is_so in lacking.items() if is_so)
