@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from gesturekit.corpus.layouts import HANDED
 from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import (
     Limits,
@@ -161,10 +160,6 @@ class StyleConfig:
     """Styles that distinguish left from right; their recordings are not mirrored. `100style` stands
     for those of that corpus, and may name styles that the recordings lack."""
 
-    def is_handed(self, style: str | None) -> bool:
-        """Return whether recordings of a style are not mirrored."""
-        return any(style in HANDED.get(name, (name,)) for name in self.handed)
-
 
 @dataclass(frozen=True)
 class UnpairedConfig(Settings):
@@ -244,8 +239,3 @@ class DiffusionConfig(RunConfig):
     def windows_per_step(self) -> int:
         """Return the batch size over all processes."""
         return self.training.batch
-
-    @property
-    def window_frames(self) -> int:
-        """Return the length of a training window in frames."""
-        return max(2, round(self.training.window * self.fps))

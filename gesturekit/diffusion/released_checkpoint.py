@@ -59,19 +59,11 @@ class _Array:
             raise ValueError(f"an array of shape {shape} has {len(self.values)} numbers")
 
 
-def _new_array(*_: Any) -> _Array:
-    return _Array()
-
-
-def _scalar(dtype: _DType, content: bytes) -> Any:
-    return dtype.numbers(content).item()
-
-
 _STAND_INS: dict[str, Any] = {"numpy.ndarray": _Array, "numpy.dtype": _DType}
 """Functions and classes that stand for the names in a pickle."""
 for _core in ("core", "_core"):
-    _STAND_INS[f"numpy.{_core}.multiarray._reconstruct"] = _new_array
-    _STAND_INS[f"numpy.{_core}.multiarray.scalar"] = _scalar
+    _STAND_INS[f"numpy.{_core}.multiarray._reconstruct"] = lambda *_: _Array()
+    _STAND_INS[f"numpy.{_core}.multiarray.scalar"] = lambda dtype, number: dtype.numbers(number)[0]
 for _module in ("_data", "data"):
     _STAND_INS[f"sklearn.preprocessing.{_module}.StandardScaler"] = SimpleNamespace
 

@@ -60,8 +60,9 @@ class Batches:
         # Recordings by length of their windows: all windows of a batch have the same length.
         self._groups: dict[int, list[TrainingSequence]] = {}
         weights: dict[int, list[float]] = {}
+        window = max(2, round(config.training.window * config.fps))
         for recording in data.recordings:
-            length, kind = config.window_frames, recording.is_paired
+            length, kind = window, recording.is_paired
             while length > recording.n_frames:
                 length = int(length * _STEP)
             self._groups.setdefault(length, []).append(recording)

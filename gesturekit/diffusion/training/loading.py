@@ -526,7 +526,11 @@ class VariantArrays:
             if self.config.path:
                 path = self.path(item, motion)
                 motion = follow_path(motion, path, self.representation.root)
-            condition = self._condition(item, motion.n_frames, path)
+            scaled = None if path is None else path.scaled(1 / self.representation.scale)
+            events = item.load_events() if self.config.events and self._is_paired else ()
+            style, about = self._style(item), (motion.n_frames, self.config.fps)
+            styles = None if style is None else style_track(self.conditions.styles, style, *about)
+            condition = self.conditions.encode(*about, path=scaled, events=events, style=styles)
             variants = [(plain, motion, path, condition)]
             if is_mirrored:
                 way = None if path is None else path.mirror()
@@ -575,20 +579,11 @@ class VariantArrays:
 
     def _is_mirrored(self, item: Item) -> bool:
         """Return whether a recording has mirrored copies."""
-        styles = self.config.styles
-        handed = styles is not None and styles.is_handed(self._style(item))
+        styles, style = self.config.styles, self._style(item)
+        names = () if styles is None else styles.handed
+        handed = any(style in HANDED.get(name, (name,)) for name in names)
         wanted = self.config.augmentation.mirror and not handed
         return wanted and can_be_mirrored(self.representation.skeleton)
-
-    def _condition(self, item: Item, n_frames: int, path: RootPath | None) -> np.ndarray:
-        """Return the condition (T, W) float32 beside speech."""
-        fps, name = self.config.fps, self._style(item)
-        style = None
-        if name is not None:
-            style = style_track(self.conditions.styles, name, n_frames, fps)
-        events = item.load_events() if self.config.events and self._is_paired else ()
-        scaled = None if path is None else path.scaled(1 / self.representation.scale)
-        return self.conditions.encode(n_frames, fps, path=scaled, events=events, style=style)
 
 
 def other_side(name: str) -> str:
