@@ -28,9 +28,16 @@ from torch import Tensor, nn
 from torch.nn.attention.flex_attention import create_block_mask, flex_attention
 
 from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
-from gesturekit.diffusion.network import Attention, Conformer, Denoiser, DilatedConv, attend
+from gesturekit.diffusion.network import (
+    Attention,
+    Conformer,
+    Denoiser,
+    DilatedConv,
+    PositionBias,
+    attend,
+    bands,
+)
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, clip_denoised, sample
-from gesturekit.diffusion.position_bias import PositionBias, bands
 from gesturekit.training.seeds import rng_for
 from gesturekit.training.session import prepare_device
 

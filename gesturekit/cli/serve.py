@@ -40,7 +40,7 @@ def command(
     try:
         import uvicorn
 
-        from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
+        from gesturekit.serving.access import listen
         from gesturekit.serving.app import Limits, create_app
     except ImportError as error:
         how = "pip install 'gesturekit[serve]'"
@@ -50,10 +50,10 @@ def command(
     renamed = {"max_mb": "megabytes", "max_seconds": "seconds", "max_frames": "frames"}
     given: dict[str, Any] = {renamed.get(name, name): value for name, value in limits.items()}
     bounds = Limits(**given)
-    about: dict[str, Any] = {"token": token_of(host, token_file), "hosts": names_of(host, names)}
-    listening = listening_socket(host, port)
-    app = create_app(load(model, weights=weights, device=device), bounds, **about)
-    click.echo(f"Serving {model} at {address_of(listening, host)} (end with Ctrl-C)", err=True)
+    listening, url, hosts, token = listen(host, port, names, token_file)
+    loaded = load(model, weights=weights, device=device)
+    app = create_app(loaded, bounds, token=token, hosts=hosts)
+    click.echo(f"Serving {model} at {url} (end with Ctrl-C)", err=True)
     config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=10)
     with contextlib.suppress(KeyboardInterrupt):
         uvicorn.Server(config).run(sockets=[listening])

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -70,10 +70,7 @@ class Conditions:
             0 if self.state is None else len(self.state.names),
         )
         ends = np.cumsum(widths).tolist()
-        return {
-            name: slice(end - width, end)
-            for name, width, end in zip(PARTS, widths, ends, strict=True)
-        }
+        return dict(zip(PARTS, map(slice, [0, *ends], ends)))
 
     @property
     def width(self) -> int:
@@ -87,7 +84,7 @@ class Conditions:
         *,
         speech: np.ndarray | None = None,
         path: RootPath | None = None,
-        events: Sequence[Event] | None = None,
+        events: Iterable[Event] = (),
         style: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the condition (T, C) float32 of a clip, with its state left at zero.
@@ -97,22 +94,24 @@ class Conditions:
             fps: frames per second of the motion.
             speech: (T, S) features of the conditioner.
             path: T frames at `fps`, in metres of the reference body; see `smooth_path`.
-            events: with known names; events after the last frame are ignored.
+            events: flags are 1 from the frame nearest to an event's start, for at least one frame;
+                events after the last frame are ignored.
             style: (T, K) style weights, see `gesturekit.corpus.speech.style_track`.
 
         Raises:
             ModelError: an event of an unknown name.
         """
         condition = np.zeros((n_frames, self.width), np.float32)
-        given = {
-            "speech": speech,
-            "path": None if path is None else (path.deltas() - self.path_mean) / self.path_scale,
-            "events": None if events is None else event_flags(events, self.events, n_frames, fps),
-            "styles": style,
-        }
-        for name, values in given.items():
-            if values is not None and values.size:
+        steps = None if path is None else (path.deltas() - self.path_mean) / self.path_scale
+        for name, values in (("speech", speech), ("path", steps), ("styles", style)):
+            if values is not None:
                 condition[:, self.columns[name]] = values
+        flags = condition[:, self.columns["events"]]
+        for event in events:
+            check_event(event, self.events)
+            start = math.floor(event.time * fps + 0.5)
+            stop = math.floor((event.time + event.duration) * fps + 0.5)
+            flags[start : max(stop, start + 1), self.events.index(event.name)] = 1
         return condition
 
     def without(self, condition: Array, *parts: str) -> Array:
@@ -154,44 +153,18 @@ class Conditions:
         Raises KeyError, TypeError or ValueError for damaged values, and WeightsError for WavLM
         weights that are missing or are not those of training.
         """
-        features, has_path = values["features"], bool(values["path"])
-        conditioner = None
+        features, conditioner, fitted = values["features"], None, {}
         if features is not None:
             conditioner = load_conditioner(features, tensors, fps, weights, device)
+        if has_path := bool(values["path"]):
+            fitted = {f"path_{part}": tensors[f"path.{part}"].numpy() for part in ("mean", "scale")}
         events, styles = (tuple(map(str, values[name])) for name in ("events", "styles"))
-        conditions = cls(conditioner, has_path, events, styles, state=state)
-        if not has_path:
-            return conditions
-        mean, scale = (tensors[f"path.{name}"].numpy() for name in ("mean", "scale"))
-        return replace(conditions, path_mean=mean, path_scale=scale)
+        return cls(conditioner, has_path, events, styles, **fitted, state=state)
 
 
 def smooth_path(path: RootPath, fps: float, n_frames: int | None = None) -> RootPath:
     """Resample a path to the model's frame rate and smooth it (section 4.1)."""
     return path.resample(fps, n_frames).smoothed()
-
-
-def event_flags(
-    events: Sequence[Event], names: Sequence[str], n_frames: int, fps: float
-) -> np.ndarray:
-    """Return flags (T, E): 1 from the frame nearest to an event's start, at least one frame.
-
-    Args:
-        events: events after the last frame are ignored.
-        names: E names of the model's events.
-        n_frames: T.
-        fps: frames per second.
-
-    Raises:
-        ModelError: an event of an unknown name.
-    """
-    flags = np.zeros((n_frames, len(names)), np.float32)
-    for event in events:
-        check_event(event, names)
-        start = math.floor(event.time * fps + 0.5)
-        stop = math.floor((event.time + event.duration) * fps + 0.5)
-        flags[start : max(stop, start + 1), names.index(event.name)] = 1
-    return flags
 
 
 def check_event(event: Event, known: Sequence[str]) -> None:
@@ -203,14 +176,13 @@ def check_event(event: Event, known: Sequence[str]) -> None:
 
 _SECONDS = r"\d+(\.\d*)?|\.\d+"
 _TERM = re.compile(rf"(?P<name>.+)@(?P<time>beats|{_SECONDS})(:(?P<duration>{_SECONDS}))?")
+BEATS = re.compile(r"(?<=.@)beats(?=\s*(:|,|$))")
+"""Places of an event's text where it depends on the beats of a sound."""
 
 
 def wants_beats(events: str | Path | None) -> bool:
     """Return whether the events depend on the beats of a sound."""
-    return isinstance(events, str) and any(
-        match is not None and match["time"] == "beats"
-        for match in (_TERM.fullmatch(text.strip()) for text in events.split(","))
-    )
+    return isinstance(events, str) and BEATS.search(events) is not None
 
 
 def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
@@ -229,24 +201,23 @@ def asked_events(events: str | Path, wave: af.Wave | None) -> tuple[Event, ...]:
     if isinstance(events, Path) or events.lower().endswith(".csv"):
         return load_events(events)
     asked: list[Event] = []
-    for text in events.split(","):
-        match = _TERM.fullmatch(text.strip())
+    for text in map(str.strip, events.split(",")):
+        match, problem = _TERM.fullmatch(text), ""
         if match is None:
-            raise ModelError(
-                f"event {text.strip()!r}: events look like kick@1.0,punch@2.5:0.5 (seconds, and "
-                "how long), like kick@beats, or are a .csv with columns time,name[,duration]"
+            problem = (
+                "events look like kick@1.0,punch@2.5:0.5 (seconds, and how long), like kick@beats, "
+                "or are a .csv with columns time,name[,duration]"
             )
-        duration, times = float(match["duration"] or 0), [match["time"]]
-        if match["time"] == "beats":
-            if wave is None:
-                raise ModelError(f"event {text.strip()!r}: there is no sound to find beats in")
-            times = music_beats(wave).tolist()
-            if not times:
-                raise ModelError(
-                    f"event {text.strip()!r}: no beat was found in {wave.source or 'the sound'}; "
-                    "give seconds instead"
-                )
-        asked += [Event(float(time), match["name"].strip(), duration) for time in times]
+        elif match["time"] != "beats":
+            times = [float(match["time"])]
+        elif wave is None:
+            problem = "there is no sound to find beats in"
+        elif not (times := music_beats(wave).tolist()):
+            problem = f"no beat was found in {wave.source or 'the sound'}; give seconds instead"
+        if match is None or problem:
+            raise ModelError(f"event {text!r}: {problem}")
+        duration = float(match["duration"] or 0)
+        asked += [Event(time, match["name"].strip(), duration) for time in times]
     return tuple(sorted(asked))
 
 
@@ -256,9 +227,11 @@ SUM_TOLERANCE = 1e-5
 ExpertWeight = float | np.ndarray | str | None
 """The forms of an expert's weight; see `weights_over_time`."""
 
-_STYLE_TERM = re.compile(
-    r"(?P<name>.+?)(:(?P<weight>[-+]?(\d+(\.\d*)?|\.\d+)))?(@(?P<span>\d+(\.\d+)?-\d+(\.\d+)?))?"
-)
+_WEIGHT = r"(?P<weight>[-+]?(\d+(\.\d*)?|\.\d+))"
+_SPAN = r"(?P<span>(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?))"
+_STYLE_TERM = re.compile(rf"(?P<name>.+?)(:{_WEIGHT})?(@{_SPAN})?")
+_WEIGHT_SPAN = re.compile(rf"{_WEIGHT}@{_SPAN}")
+_BACKWARDS = "the span ends before it begins"
 
 
 def style_weights(names: Sequence[str], wanted: str, n_frames: int, fps: float) -> np.ndarray:
@@ -278,57 +251,41 @@ def style_weights(names: Sequence[str], wanted: str, n_frames: int, fps: float) 
             in some span.
     """
     spans: dict[str, dict[int, float | None]] = {}
-    for text in [wanted] if wanted in names else wanted.split(","):
-        name, weight, span = _style_term(names, text.strip())
-        spans.setdefault(span, {})
-        number = style_number(names, name)
-        if number in spans[span]:
-            raise ModelError(f"style {wanted!r}: {name} is named twice for the same time")
-        spans[span][number] = weight
+    problems = []
+    for text in map(str.strip, [wanted] if wanted in names else wanted.split(",")):
+        name, weight, span, match = text, None, "", _STYLE_TERM.fullmatch(text)
+        if match is not None and text not in names:
+            name, weight, span = match["name"], match["weight"], match["span"] or ""
+            if span and float(match["end"]) <= float(match["start"]):
+                problems.append(f"{text}: {_BACKWARDS}")
+            if weight is not None and f"{name}:{weight}" in names:  # a name with a colon
+                name, weight = f"{name}:{weight}", None
+        number, named = style_number(names, name), spans.setdefault(span, {})
+        if number in named:
+            problems.append(f"{name} is named twice for the same time")
+        named[number] = None if weight is None else float(weight)
     if "" in spans and len(spans) > 1:
-        raise ModelError(
-            f"style {wanted!r}: some styles have a span of seconds and some have none; give all "
-            "or none of them one, as in old@0-10,angry@10-20"
-        )
+        problems.append("give all styles a span of seconds, or none: old@0-10,angry@10-20")
     mixtures = np.zeros((len(spans), len(names)))
     for row, weights in zip(mixtures, spans.values(), strict=True):
-        row[list(weights)] = _span_weights(wanted, list(weights.values()))
+        given = [weight for weight in weights.values() if weight is not None]
+        if given and len(given) < len(weights):
+            problems.append("some styles have a weight and some have none")
+        elif given and abs(sum(given) - 1) > SUM_TOLERANCE:
+            problems.append(f"weights add up to {sum(given):g}; they must give 1")
+        row[list(weights)] = given if len(given) == len(weights) else 1 / len(weights)
+    if problems:
+        raise ModelError(f"style {wanted!r}: {problems[0]}")
     if "" in spans:
         return np.repeat(mixtures, n_frames, axis=0)
+    return _cross_faded(list(spans), mixtures, n_frames, fps)
+
+
+def _cross_faded(spans: Sequence[str], values: np.ndarray, n_frames: int, fps: float) -> np.ndarray:
+    """Return values (S, ...) of spans of seconds over time, (T, ...) float64; see `style_track`."""
     labels = [str(k) for k in range(len(spans))]
     asked = ",".join(f"{k}@{span}" for k, span in enumerate(spans))
-    return style_track(labels, asked, n_frames, fps).astype(np.float64) @ mixtures
-
-
-def _style_term(names: Sequence[str], text: str) -> tuple[str, float | None, str]:
-    """Return name, weight and span of one style; names may contain colons."""
-    match = _STYLE_TERM.fullmatch(text)
-    if text in names or match is None:
-        return text, None, ""
-    name, weight, span = match["name"], match["weight"], match["span"] or ""
-    start, _, end = span.partition("-")
-    if span and float(end) <= float(start):
-        raise ModelError(f"style {text!r}: the span ends before it begins")
-    if weight is not None and f"{name}:{weight}" in names:
-        name, weight = f"{name}:{weight}", None
-    return name, None if weight is None else float(weight), span
-
-
-def _span_weights(wanted: str, weights: list[float | None]) -> list[float]:
-    """Return the weights of one span; without any, all styles share equally."""
-    given = [weight for weight in weights if weight is not None]
-    if not given:
-        return [1 / len(weights)] * len(weights)
-    if len(given) < len(weights):
-        raise ModelError(f"style {wanted!r}: some styles have a weight and some have none")
-    if abs(sum(given) - 1) > SUM_TOLERANCE:
-        raise ModelError(f"style {wanted!r}: weights add up to {sum(given):g}; they must give 1")
-    return given
-
-
-_WEIGHT_SPAN = re.compile(
-    r"(?P<weight>[-+]?(\d+(\.\d*)?|\.\d+))@(?P<start>\d+(\.\d+)?)-(?P<end>\d+(\.\d+)?)"
-)
+    return style_track(labels, asked, n_frames, fps).astype(np.float64) @ values
 
 
 def weight_track(text: str, n_frames: int, fps: float) -> np.ndarray:
@@ -340,25 +297,23 @@ def weight_track(text: str, n_frames: int, fps: float) -> np.ndarray:
     Raises:
         ModelError: a text that cannot be read, or a span that ends before it begins.
     """
-    spans = []
-    for span in map(str.strip, text.split(",")):
-        match = _WEIGHT_SPAN.fullmatch(span)
-        if match is None:
-            raise ModelError(f"weight {span!r}: weights over time look like 0.2@0-10,0.8@10-20")
+    spans, weights, reached = [], [], 0.0
+    for asked in map(str.strip, text.split(",")):
+        if (match := _WEIGHT_SPAN.fullmatch(asked)) is None:
+            raise ModelError(f"weight {asked!r}: weights over time look like 0.2@0-10,0.8@10-20")
         if float(match["end"]) <= float(match["start"]):
-            raise ModelError(f"weight {span!r}: the span ends before it begins")
-        spans.append((float(match["weight"]), match["start"], match["end"]))
-    reached = 0.0
-    for _, start, end in sorted(spans, key=lambda span: float(span[1])):
+            raise ModelError(f"weight {asked!r}: {_BACKWARDS}")
+        spans.append((match["start"], match["end"]))
+        weights.append(float(match["weight"]))
+    after = n_frames / fps
+    for start, end in sorted([*spans], key=lambda span: float(span[0])):
         if float(start) > reached:
-            spans.append((0.0, f"{reached:f}", start))
+            spans.append((f"{reached:f}", start))
         reached = max(reached, float(end))
-    if n_frames / fps > reached:
-        spans.append((0.0, f"{reached:f}", f"{reached + n_frames / fps:f}"))
-    names = [str(k) for k in range(len(spans))]
-    asked = ",".join(f"{k}@{start}-{end}" for k, (_, start, end) in enumerate(spans))
-    weights = np.array([weight for weight, _, _ in spans])
-    return style_track(names, asked, n_frames, fps).astype(np.float64) @ weights
+    if after > reached:
+        spans.append((f"{reached:f}", f"{reached + after:f}"))
+    weights += [0.0] * (len(spans) - len(weights))
+    return _cross_faded([*map("-".join, spans)], np.array(weights), n_frames, fps)
 
 
 def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) -> list[np.ndarray]:
@@ -379,10 +334,8 @@ def weights_over_time(given: Sequence[ExpertWeight], n_frames: int, fps: float) 
             weight = weight_track(weight, n_frames, fps)
         values = None if weight is None else np.atleast_1d(np.asarray(weight, dtype=np.float64))
         if values is not None and values.shape not in ((1,), (n_frames,)):
-            raise ModelError(
-                f"weights of an expert have shape {values.shape}; expected a number or "
-                f"({n_frames},), one for each frame"
-            )
+            right = f"a number or ({n_frames},), one for each frame"
+            raise ModelError(f"weights of an expert have shape {values.shape}; expected {right}")
         weights.append(values)
     rest = np.ones(1) - sum(weight for weight in weights if weight is not None)
     shares = sum(weight is None for weight in weights)

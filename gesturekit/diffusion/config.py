@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from gesturekit.corpus.layouts import HANDED
 from gesturekit.training.config import Limits, Positive, Settings, Share, ShareBelowOne
 from gesturekit.training.features import FeatureConfig
 from gesturekit.training.run_config import RunConfig
@@ -53,16 +52,12 @@ class NetworkConfig(Settings):
         if self.channels % self.heads:
             yield f"heads: {self.heads} must divide channels, which is {self.channels}"
         if self.farthest_view < self.nearest_view:
-            yield (
-                f"farthest_view: {self.farthest_view} must be at least nearest_view, which is "
-                f"{self.nearest_view}"
-            )
+            nearest = f"nearest_view, which is {self.nearest_view}"
+            yield f"farthest_view: {self.farthest_view} must be at least {nearest}"
         lowest = 1 if self.architecture == "diffwave" else 0
         if not self.dilations or min(self.dilations) < lowest:
-            yield (
-                f"dilations: {list(self.dilations)} must be numbers of at least {lowest} for "
-                f"architecture {self.architecture}"
-            )
+            least = f"at least {lowest} for architecture {self.architecture}"
+            yield f"dilations: {list(self.dilations)} must be numbers of {least}"
 
 
 @dataclass(frozen=True)
@@ -84,10 +79,8 @@ class NoiseConfig(Settings):
     def problems(self) -> Iterator[str]:
         """Yield what is wrong with the settings, beside numbers out of their limits."""
         if self.last_beta < self.first_beta:
-            yield (
-                f"last_beta: {self.last_beta} must be at least first_beta, which is "
-                f"{self.first_beta}"
-            )
+            first = f"first_beta, which is {self.first_beta}"
+            yield f"last_beta: {self.last_beta} must be at least {first}"
 
 
 @dataclass(frozen=True)
@@ -161,10 +154,6 @@ class StyleConfig:
     """Styles that distinguish left from right; their recordings are not mirrored. `100style` stands
     for those of that corpus, and may name styles that the recordings lack."""
 
-    def is_handed(self, style: str | None) -> bool:
-        """Return whether recordings of a style are not mirrored."""
-        return any(style in HANDED.get(name, (name,)) for name in self.handed)
-
 
 @dataclass(frozen=True)
 class UnpairedConfig(Settings):
@@ -226,18 +215,14 @@ class DiffusionConfig(RunConfig):
             yield "moves_like: start_from implies it; leave out one of them"
         for name in ("changes", "foot_sliding", "state"):
             if (weight := getattr(self.training, name)) and self.noise.predict != "clean":
-                yield (
-                    f"training.{name}: {weight} is for networks that predict the clean motion; "
-                    f"noise.predict is {self.noise.predict}"
-                )
+                needed = f"noise.predict: clean, not {self.noise.predict}"
+                yield f"training.{name}: {weight} needs a network with {needed}"
         for name in ("dropout_state", "state"):
             if (value := getattr(self.training, name)) and not self.state:
                 yield f"training.{name}: {value} needs state: true"
-        if self.training.foot_sliding and self.path:
-            yield (
-                f"training.foot_sliding: {self.training.foot_sliding} is for models that move the "
-                "root themselves; with path: true, set it to 0"
-            )
+        if (weight := self.training.foot_sliding) and self.path:
+            how = "is for models that move the root themselves; with path: true, set it to 0"
+            yield f"training.foot_sliding: {weight} {how}"
 
     @property
     def updates(self) -> int:
@@ -248,8 +233,3 @@ class DiffusionConfig(RunConfig):
     def windows_per_step(self) -> int:
         """Return the batch size over all processes."""
         return self.training.batch
-
-    @property
-    def window_frames(self) -> int:
-        """Return the length of a training window in frames."""
-        return max(2, round(self.training.window * self.fps))

@@ -17,36 +17,26 @@ on the same recordings.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gesturekit.corpus.checks import first_difference
-from gesturekit.diffusion.conditions import (
-    SUM_TOLERANCE,
-    ExpertWeight,
-    style_weights,
-    weight_track,
-    weights_over_time,
-)
-from gesturekit.diffusion.controls import DiffusionControls
+from gesturekit.diffusion.conditions import SUM_TOLERANCE, style_weights, weights_over_time
+from gesturekit.diffusion.motion_vector import measured_state
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, Predict
 from gesturekit.errors import ModelError
-from gesturekit.state.process import mood_seed
+from gesturekit.state.process import given_state, mood_seed
 from gesturekit.training.seeds import rng_for
 
 if TYPE_CHECKING:
     from gesturekit.diffusion.model import DiffusionModel
-    from gesturekit.diffusion.request import Request
-
-_SCALE_TOLERANCE = 1e-4
-"""Largest relative difference between the scales of two models that can be combined."""
+    from gesturekit.diffusion.request import Member, Request
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +65,12 @@ class Expert:
     def equals(self, other: Expert) -> bool:
         """Return whether both have the same weights and condition, hence the same predictions."""
         shifts = [shift for shift in (self.shift, other.shift) if shift is not None]
+        ours, theirs = self.network, other.network
         return (
             torch.equal(self.condition, other.condition)
             and (not shifts or (len(shifts) == 2 and torch.equal(*shifts)))
             and self.schedule.predicts == other.schedule.predicts
-            and _same_weights(self.network, other.network)
+            and (ours is theirs or _are_equal(ours, theirs))
         )
 
     @cached_property
@@ -98,10 +89,9 @@ class Expert:
         return self.schedule.noise_of(self._predict(noisy, step), noisy, step)
 
 
-def _same_weights(network: Denoiser, other: Denoiser) -> bool:
-    if network is other or network.config != other.config:
-        return network is other
-    return all(map(torch.equal, network.state_dict().values(), other.state_dict().values()))
+def _are_equal(network: Denoiser, other: Denoiser) -> bool:
+    weights = network.state_dict().values(), other.state_dict().values()
+    return network.config == other.config and all(map(torch.equal, *weights))
 
 
 def predicted_noise(experts: Sequence[Expert], noisy: Tensor, step: int) -> Tensor:
@@ -124,7 +114,12 @@ def product(experts: Sequence[Expert]) -> list[Expert]:
     Raises:
         ModelError: weights that do not add up to 1.
     """
-    _check_sum([expert.weight for expert in experts])
+    weights = [expert.weight for expert in experts]
+    sums = np.sum(np.broadcast_arrays(*weights), axis=0)
+    worst = sums[np.argmax(np.abs(sums - 1))]  # NaN is the worst
+    if not math.isclose(worst, 1.0, rel_tol=0, abs_tol=SUM_TOLERANCE):
+        given = ", ".join(f"{weight[0]:g}" if weight.size == 1 else "..." for weight in weights)
+        raise ModelError(f"weights {given} add up to {worst:g}; experts' weights must add up to 1")
     merged: list[Expert] = []
     for expert in experts:
         k = next((k for k, known in enumerate(merged) if expert.equals(known)), None)
@@ -135,127 +130,8 @@ def product(experts: Sequence[Expert]) -> list[Expert]:
     return [expert for expert in merged if np.abs(expert.weight).max() > 0]
 
 
-def _check_sum(weights: Sequence[np.ndarray]) -> None:
-    sums = np.sum(np.broadcast_arrays(*weights), axis=0)
-    worst = sums[np.argmax(np.abs(sums - 1))]  # NaN is the worst
-    if not math.isclose(worst, 1.0, rel_tol=0, abs_tol=SUM_TOLERANCE):
-        given = ", ".join(f"{weight[0]:g}" if weight.size == 1 else "..." for weight in weights)
-        raise ModelError(f"weights {given} add up to {worst:g}; experts' weights must add up to 1")
-
-
-class Member(NamedTuple):
-    """A model of a product, with its weight, and its style; None for a random style."""
-
-    model: DiffusionModel
-    weight: ExpertWeight
-    style: str | None
-
-
-def product_members(first: DiffusionModel, controls: DiffusionControls) -> list[Member]:
-    """Collect and check the models of a request, without the unconditional one.
-
-    An expert without a style gets the style of the first model if it has that style, and a
-    random one otherwise.
-
-    Raises:
-        ModelError: models that cannot be combined, weights over time or styles that cannot be
-            read, or guidance that none of the models supports.
-    """
-    style = controls["style"]
-    members = [Member(first, None, style)]
-    for number, expert in enumerate(controls["experts"], start=1):
-        if not 1 <= len(expert) <= 3:
-            raise ModelError(f"expert {number}: expected (model, weight) or + (style,)")
-        model, weight, named = (*expert, None, None)[:3]
-        if reason := next(_differences(first, model), None):
-            raise ModelError(f"expert {number}: {reason}")
-        if isinstance(weight, str):
-            weight_track(weight, 1, first.fps)
-        inherited = style if style is not None and _knows(model, style) else None
-        members.append(Member(model, weight, inherited if named is None else named))
-    if style is not None and not any(member.model.styles for member in members):
-        raise ModelError(f"style={style!r}: this model has no styles")
-    if problem := next(_guidance_problems(first, controls), None):
-        raise ModelError(problem)
-    for model, _, name in members:
-        if model.styles and name is not None:
-            style_weights(model.styles, name, 1, model.fps)
-    return members
-
-
-def _knows(model: DiffusionModel, style: str) -> bool:
-    try:
-        style_weights(model.styles, style, 1, model.fps)
-    except ModelError:
-        return False
-    return True
-
-
-def _guidance_problems(first: DiffusionModel, controls: DiffusionControls) -> Iterator[str]:
-    """Yield what is wrong with guidance."""
-    guidance, unconditional = controls["guidance"], controls["unconditional"]
-    if (gamma := controls["state_guidance"]) is not None and "state" not in first.droppable:
-        yield (
-            f"state_guidance={gamma:g}: this model was trained without dropout of the state "
-            "(training.dropout_state above 0)"
-        )
-    if unconditional is not None:
-        if guidance is None:
-            yield "unconditional: only used with guidance; give guidance too"
-        for reason in _differences(first, unconditional):
-            yield f"unconditional: {reason}"
-        if unconditional.styles and not {"styles", "all"} & set(unconditional.droppable):
-            yield "unconditional: that model needs a style too; give one trained with styles: null"
-    elif guidance is not None:
-        if not first.conditions.columns["state"].start:
-            yield f"guidance={guidance:g}: this model has no conditions to guide on"
-        if not ("all" in first.droppable or (first.styles and "styles" in first.droppable)):
-            what = "style" if first.styles else "condition"
-            yield (
-                f"guidance={guidance:g}: this model was trained without {what} dropout "
-                f"(training.dropout_{what} above 0); give an unconditional model beside it"
-            )
-
-
-def _differences(first: DiffusionModel, other: Any) -> Iterator[str]:
-    """Yield reasons for which the motion vectors or noise of two models differ in meaning."""
-    kind = getattr(other, "kind", type(other).__name__)
-    if kind != first.kind:
-        yield f"a {kind} model; only diffusion models can be combined"
-    if other.device != first.device:
-        yield f"is on {other.device}, this model on {first.device}; load both on one device"
-    if other.fps != first.fps:
-        yield f"moves at {other.fps:g} fps, this model at {first.fps:g}"
-    theirs, ours = other.representation, first.representation
-    if different := first_difference(other.skeleton, first.skeleton):
-        yield f"another rig: {different}"
-    if theirs.joints != ours.joints:
-        yield f"its {len(theirs.joints)} joints are not the {len(ours.joints)} of this model"
-    if theirs.makes_root != ours.makes_root:
-        yield "only one of the two follows a path"
-    if theirs.turn_first != ours.turn_first:
-        yield "only one of the two has the motion vector of the released code"
-    ratio = other.normaliser.scale / first.normaliser.scale
-    worst = float(ratio[(ratio.log().abs()).argmax()])
-    places = (theirs.references, ours.references), (theirs.side, ours.side)
-    same = {
-        "lengths are relative to another body size": math.isclose(
-            theirs.scale, ours.scale, rel_tol=_SCALE_TOLERANCE
-        ),
-        "rotations are relative to other mean rotations": all(
-            np.allclose(*pair, atol=1e-6) for pair in places
-        ),
-        f"motion has another scale (by up to a factor of {worst:.3g})": abs(worst - 1)
-        <= _SCALE_TOLERANCE,
-    }
-    for reason in (text for text, is_same in same.items() if not is_same):
-        yield f"its {reason}; train one with moves_like: the other, to share motion vectors"
-    noises = [
-        f"{noise.steps} steps, beta {noise.first_beta:g} to {noise.last_beta:g}"
-        for noise in (first.noise_config, other.noise_config)
-    ]
-    if noises[0] != noises[1]:
-        yield f"its noise schedule has {noises[1]}, that of this model {noises[0]}"
+Term = tuple["DiffusionModel", np.ndarray, np.ndarray, bool]
+"""A model, its condition (1 or B, T, C), its weight, and whether it has the state of movement."""
 
 
 def experts_of(request: Request, numbers: Sequence[int]) -> list[Expert]:
@@ -266,82 +142,75 @@ def experts_of(request: Request, numbers: Sequence[int]) -> list[Expert]:
     """
     states, members = _states(request, numbers), request.members
     weights = weights_over_time([m.weight for m in members], request.n_frames, request.fps)
-    experts: list[Expert] = []
+    experts = []
     for k, (member, weight) in enumerate(zip(members, weights, strict=True)):
-        plain = _styled(member, request, numbers)
-        terms = [_with_state(expert, member.model, states) for expert in plain]
-        if k == 0:
-            terms += _guidance(plain, terms, request, states)
-        experts += [expert.weighted(weight) for expert in terms]
-    device = request.model.device
-    return [replace(expert, condition=expert.condition.to(device)) for expert in experts]
+        terms = _styled(member, request, numbers)
+        for term in [*terms, *(_guidance(terms, request) if k == 0 else ())]:
+            experts.append(_expert(request, term, states).weighted(weight))
+    return experts
 
 
-def _guidance(
-    plain: list[Expert], terms: list[Expert], request: Request, states: list[np.ndarray] | None
-) -> list[Expert]:
-    """Return what classifier-free guidance adds: gamma - 1 with the style, 1 - gamma without.
+def _guidance(terms: list[Term], request: Request) -> list[Term]:
+    """Return what classifier-free guidance adds to the terms of the first model.
 
-    This is eq. 6. Guidance on the state of movement is the same beside it, with and without the
-    state.
-
-    Args:
-        plain: experts of the first model without the state of movement.
-        terms: its experts.
-        request: the request.
-        states: see `_states`.
+    This is eq. 6: gamma - 1 with the style, 1 - gamma without. Guidance on the state of movement is
+    the same beside it, with and without the state.
     """
-    added: list[Expert] = []
+    added: list[Term] = []
     if (gamma := request.controls["guidance"]) is not None:
         unconditional = request.controls["unconditional"]
         model = request.model if unconditional is None else unconditional
         condition = request.condition(model.conditions)
         if unconditional is None and not ("styles" in model.droppable and model.styles):
             condition = model.conditions.without(condition)
-        without = _expert(request, model, condition[None], np.ones(1) - gamma)
-        added.append(_with_state(without, model, states))
-        added += [expert.weighted(gamma - 1) for expert in terms]
+        added.append((model, condition[None], np.ones(1) - gamma, True))
+        added += [(model, given, (gamma - 1) * weight, True) for model, given, weight, _ in terms]
     if (gamma := request.controls["state_guidance"]) is not None:
-        for without, expert in zip(plain, terms, strict=True):
-            added += [without.weighted(1 - gamma), expert.weighted(gamma - 1)]
+        for model, given, weight, _ in terms:
+            added.append((model, given, (1 - gamma) * weight, False))
+            added.append((model, given, (gamma - 1) * weight, True))
     return added
 
 
-def _expert(
-    request: Request, model: DiffusionModel, condition: np.ndarray, weight: np.ndarray
-) -> Expert:
-    """Return a model with a condition (B, T, C) as an expert beside the model of the request."""
-    first, shift = request.model, None
+def _expert(request: Request, term: Term, states: Sequence[np.ndarray] | None) -> Expert:
+    """Return a term as an expert beside the model of the request, with states (C, T) of samples."""
+    first, (model, given, weight, has_state), shift = request.model, term, None
+    condition = torch.from_numpy(given)
+    if states is not None and has_state:
+        condition = condition.repeat(len(states) // len(condition), 1, 1)
+        if model.state_process is not None:
+            columns = model.conditions.columns["state"]
+            for row, state in zip(condition, states, strict=True):
+                row[:, columns] = torch.from_numpy(model.state_process.given(state).T)
     if not torch.equal(first.normaliser.mean, model.normaliser.mean):
         shift = (first.normaliser.mean - model.normaliser.mean) / first.normaliser.scale
         shift = shift.to(model.device)
-    return Expert(model.network, model.schedule, torch.from_numpy(condition), weight, shift)
+    return Expert(model.network, model.schedule, condition.to(first.device), weight, shift)
 
 
-def _styled(member: Member, request: Request, numbers: Sequence[int]) -> list[Expert]:
-    """Return a model's experts, one for each style with a weight, without its state of movement.
+def _styled(member: Member, request: Request, numbers: Sequence[int]) -> list[Term]:
+    """Return a model's terms, one for each style with a weight.
 
     Without a requested style, each sample gets a random one.
     """
     model, _, style = member
     condition = request.condition(model.conditions)[None]
-    if not model.styles:
-        return [_expert(request, model, condition, np.ones(1))]
     first = model.conditions.columns["styles"].start
-    if style is None:
+    if model.styles and style is None:
         condition = np.repeat(condition, len(numbers), axis=0)
         for row, number in zip(condition, numbers, strict=True):
             row[:, first + _random_style(model, request, number)] = 1
-        return [_expert(request, model, condition, np.ones(1))]
-    experts = []
+    if not model.styles or style is None:
+        return [(model, condition, np.ones(1), True)]
+    terms: list[Term] = []
     weights = style_weights(model.styles, style, request.n_frames, request.fps)
     for k, weight in enumerate(weights.T):
         if np.abs(weight).max() > 0:
             styled = condition.copy()
             styled[..., first + k] = 1
             weight = weight[:1] if (weight == weight[0]).all() else weight
-            experts.append(_expert(request, model, styled, weight))
-    return experts
+            terms.append((model, styled, weight, True))
+    return terms
 
 
 def _random_style(model: DiffusionModel, request: Request, number: int) -> int:
@@ -353,45 +222,31 @@ def _random_style(model: DiffusionModel, request: Request, number: int) -> int:
 def _states(request: Request, numbers: Sequence[int]) -> list[np.ndarray] | None:
     """Return the state of movement (C, T) of each sample, for all experts; None without any.
 
-    It is drawn for the first model with a state, in its style.
+    It is that of the request, or of the motion to start from; else it is drawn for the first model
+    with a state, in its style.
     """
-    if request.state is not None:
-        return [request.state] * len(numbers)
     members = (member for member in request.members if member.model.state_process is not None)
     model, _, name = next(members, request.members[0])
-    controls, process, style = request.controls, model.state_process, None
-    if process is None:
+    controls = request.controls
+    if (process := model.state_process) is None:
         return None
+    if controls["state"] is not None:
+        return [given_state(process, controls["state"], request.n_frames).T] * len(numbers)
+    if request.start is not None:
+        vectors = model.normaliser.inverse(request.start[0].cpu()).numpy()
+        about = model.representation, process.channels, process.fps
+        return [measured_state(vectors, *about)] * len(numbers)
+    styles = [None] * len(numbers)
     if model.styles and name is not None:
         weights = style_weights(model.styles, name, request.n_frames, request.fps)
-        style = int(weights.sum(axis=0).argmax())
+        styles = [int(weights.sum(axis=0).argmax())] * len(numbers)
+    elif model.styles:
+        styles = [_random_style(model, request, number) for number in numbers]
     speech = request.condition(model.conditions)[:, model.conditions.columns["speech"]].T
     seed = mood_seed(request.seed, controls)
-    states = []
-    for number in numbers:
-        drawn_style = style
-        if style is None and model.styles:
-            drawn_style = _random_style(model, request, number)
-        states.append(
-            process.draw(
-                rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1,
-                speech,
-                (controls["speaker"], drawn_style),
-                liveliness=controls["liveliness"],
-            )
-        )
+    amount, states = controls["liveliness"], []
+    for number, style in zip(numbers, styles, strict=True):
+        own = rng_for(seed, request.item, "sample", number, "mood").initial_seed() >> 1
+        group = controls["speaker"], style
+        states.append(process.draw(own, speech, group, liveliness=amount))
     return states
-
-
-def _with_state(
-    expert: Expert, model: DiffusionModel, states: Sequence[np.ndarray] | None
-) -> Expert:
-    """Return the expert of a model with the state of movement (C, T) of each sample."""
-    if states is None:
-        return expert
-    condition = expert.condition.repeat(len(states) // len(expert.condition), 1, 1)
-    if model.state_process is not None:
-        for row, state in zip(condition, states, strict=True):
-            given = torch.from_numpy(model.state_process.given(state).T)
-            row[:, model.conditions.columns["state"]] = given
-    return replace(expert, condition=condition)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from gesturekit.diffusion.motion_vector import DeltaRepresentation, VectorPlaces
+from gesturekit.diffusion.motion_vector import VectorPlaces
 from gesturekit.motion.contacts import CONTACT_SPEED
-from gesturekit.motion.torch_kinematics import PointKinematics
 from gesturekit.state.process import StateProcess
 
 SLIDING = 0.1
@@ -61,30 +60,24 @@ def foot_sliding(predicted: Tensor, recorded: Tensor) -> Tensor:
     return (stands * 2 * ((1 + squared).sqrt() - 1)).mean(dim=(1, 2))
 
 
-class FootVelocity(nn.Module):
-    """Velocity of the foot points, in axes that turn with the root's heading.
+def foot_velocity(places: VectorPlaces, values: Tensor, fps: float) -> Tensor:
+    """Return the velocity of foot points, in axes that turn with the root's heading.
 
     Args:
-        representation: of the motion vectors, with displacement columns.
-        feet: kinematics of the foot points.
+        places: of the foot points, of motion vectors with displacement columns.
+        values: (B, T, X) motion vectors in their own units.
         fps: frames per second.
+
+    Returns:
+        (B, T - 1, F, 3), m/s of the reference body.
     """
-
-    def __init__(
-        self, representation: DeltaRepresentation, feet: PointKinematics, fps: float
-    ) -> None:
-        super().__init__()
-        self.places, self.fps = VectorPlaces(representation, feet), fps
-
-    def forward(self, values: Tensor) -> Tensor:
-        """Return (B, T - 1, F, 3), m/s of the reference body, for motion vectors (B, T, X)."""
-        places = self.places(values)
-        steps = values[:, 1:, self.places.representation.root_columns]
-        turn, forward, lateral = steps.unbind(-1)
-        # The displacement is relative to the heading halfway between two frames, as in `RootPath`.
-        step = torch.stack([lateral, torch.zeros_like(lateral), forward], dim=-1)
-        after, before = _turned(places[:, 1:], turn / 2), _turned(places[:, :-1], -turn / 2)
-        return (after - before + step[:, :, None]) * self.fps
+    steps = values[:, 1:, places.representation.root_columns]
+    turn, forward, lateral = steps.unbind(-1)
+    # The displacement is relative to the heading halfway between two frames, as in `RootPath`.
+    step = torch.stack([lateral, torch.zeros_like(lateral), forward], dim=-1)
+    points = places(values)
+    after, before = _turned(points[:, 1:], turn / 2), _turned(points[:, :-1], -turn / 2)
+    return (after - before + step[:, :, None]) * fps
 
 
 def _turned(points: Tensor, angle: Tensor) -> Tensor:
@@ -94,27 +87,23 @@ def _turned(points: Tensor, angle: Tensor) -> Tensor:
     return torch.stack([cosine * x + sine * z, y, cosine * z - sine * x], dim=-1)
 
 
-class StateDistance(nn.Module):
-    """Distance of the state of movement that a prediction shows from that of the recording.
+def state_distance(
+    places: VectorPlaces, process: StateProcess, predicted: Tensor, recorded: Tensor
+) -> Tensor:
+    """Return the distance of the state of movement that a prediction shows from the recording's.
 
     Args:
-        representation: of the motion vectors.
+        places: of the modelled joints.
         process: of the recordings.
+        predicted: (B, T, X) motion vectors in their own units.
+        recorded: (B, T, X), of the recorded motion.
+
+    Returns:
+        (B,), in standard deviations of the recordings.
     """
-
-    weight: Tensor
-
-    def __init__(self, representation: DeltaRepresentation, process: StateProcess) -> None:
-        super().__init__()
-        self.places = VectorPlaces(representation)
-        self.channels, self.fps = process.channels, process.fps
-        weight = process.channels.counts / process.scale
-        self.register_buffer("weight", torch.from_numpy(weight).float()[:, None])
-
-    def forward(self, predicted: Tensor, recorded: Tensor) -> Tensor:
-        """Return (B,) for motion vectors (B, T, X), in standard deviations of the recordings."""
-        shown, wanted = (
-            self.channels(self.places(values).permute(0, 2, 3, 1), self.fps)
-            for values in (predicted, recorded)
-        )
-        return (self.weight * (shown - wanted)).abs().mean(dim=(1, 2))
+    shown, wanted = (
+        process.channels(places(values).permute(0, 2, 3, 1), process.fps)
+        for values in (predicted, recorded)
+    )
+    weight = torch.from_numpy(process.channels.counts / process.scale).to(shown)
+    return (weight[:, None] * (shown - wanted)).abs().mean(dim=(1, 2))

@@ -19,8 +19,8 @@ from gesturekit.diffusion.controls import DiffusionControls
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser, measured_state
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule
-from gesturekit.diffusion.request import Request
-from gesturekit.diffusion.sampler import check_controls, sampled_motions
+from gesturekit.diffusion.request import Request, check_controls
+from gesturekit.diffusion.sampler import sampled_motions
 from gesturekit.errors import ModelError, gesturekit_errors
 from gesturekit.model import Inputs, MotionStream, build_controls, document_controls
 from gesturekit.motion.motion import Motion
@@ -135,19 +135,12 @@ class DiffusionModel(TrainedModel):
         check_controls(self, asked, samples)
         return asked
 
-    def stream(
-        self,
-        sample_rate: int,
-        look_ahead: float = 0.2,
-        seed: int = 0,
-        item: str = "",
-        **controls: Unpack[DiffusionControls],
-    ) -> MotionStream:
+    def stream(self, *args: Any, **keywords: Any) -> MotionStream:
         """Raise ModelError: the model cannot stream."""
-        raise ModelError(
-            f"a {self.kind} model generates whole motions only: multires models with acoustic "
-            "features and a state of movement can stream, such as own_corpus"
+        others = (
+            "multires models with acoustic features and a state of movement, as own_corpus, can"
         )
+        raise ModelError(f"a {self.kind} model makes whole motions and cannot stream: {others}")
 
     def _measured_state(self, vectors: np.ndarray) -> np.ndarray:
         """Return the state of movement (C, T) of motion vectors (T, X), in their own units."""
@@ -171,25 +164,21 @@ class DiffusionModel(TrainedModel):
 
     def _readme(self) -> tuple[dict[str, str], str]:
         """Return the facts of README.md, and the arguments of `generate` in its example."""
-        network, conditions = self.network.config, self.conditions
+        network, given = self.network.config, self.conditions
         layers = f" of {network.layers} layers" if network.architecture == "conformer" else ""
-        rows = {
-            "Kind": f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
-            f"{self.noise_config.steps} steps",
-            **self._common_rows(),
-        }
-        call = [] if conditions.conditioner is None else ['"speech.wav"']
-        if conditions.path:
+        kind = f"diffusion, {network.architecture}, {network.blocks} blocks{layers}, "
+        rows = {"Kind": f"{kind}{self.noise_config.steps} steps", **self._common_rows()}
+        call = [] if given.conditioner is None else ['"speech.wav"']
+        if given.path:
             rows["Path"] = "the root follows a given path"
             call.append('path="path.csv"')
-        if not call:
-            call.append("seconds=10")
-        if conditions.events:
-            rows["Events"] = ", ".join(conditions.events)
-            call.append(f'events="{conditions.events[0]}@1.0"')
-        if conditions.styles:
-            rows["Styles"] = ", ".join(conditions.styles)
-            call.append(f'style="{conditions.styles[0]}"')
+        call = call or ["seconds=10"]
+        if given.events:
+            rows["Events"] = ", ".join(given.events)
+            call.append(f'events="{given.events[0]}@1.0"')
+        if given.styles:
+            rows["Styles"] = ", ".join(given.styles)
+            call.append(f'style="{given.styles[0]}"')
         rows |= self._state_rows()
         if self.droppable:
             names = {"styles": "style", "all": "all conditions", "state": "the state of movement"}
@@ -208,8 +197,7 @@ class DiffusionModel(TrainedModel):
     ) -> dict[str, Any]:
         """Return the fields of a folder that are a diffusion model's own; see `load`."""
         config, where = parts.config, str(parts.folder / "config.yaml")
-        values = {**config, **parts.rig}
-        fitted = read_fitted(values, parts.tensors, float(config["fps"]), weights, str(device))
+        fitted = read_fitted({**config, **parts.rig}, parts.tensors, weights, str(device))
         representation, conditions = fitted["representation"], fitted["conditions"]
         if representation.makes_root == conditions.path:
             raise ValueError("config.yaml and skeleton.json differ in whether there is a path")
@@ -229,7 +217,6 @@ class DiffusionModel(TrainedModel):
 def read_fitted(
     values: Mapping[str, Any],
     tensors: Mapping[str, Tensor],
-    fps: float,
     weights: WeightPlaces | None,
     device: str,
 ) -> dict[str, Any]:
@@ -238,16 +225,18 @@ def read_fitted(
     These are `representation`, `conditions`, `normaliser` and `state_process`.
 
     Args:
-        values: with `rig_values`, `Conditions.to_values`, and `state`: `state_values` or None.
+        values: with `rig_values`, `Conditions.to_values`, `fps`, and `state`: `state_values` or
+            None.
         tensors: with those of `fitted_tensors` and `Conditions.path_tensors`.
-        fps: frames per second.
         weights: see `DiffusionModel.load`.
         device: where encoders compute.
 
     Raises KeyError, TypeError, ValueError or RuntimeError for damaged values.
     """
-    skeleton, state = Skeleton.from_json(values["skeleton"]), values["state"]
-    representation = DeltaRepresentation.from_json(skeleton, values["motion"])
+    state, fps = values["state"], float(values["fps"])
+    representation = DeltaRepresentation.from_json(
+        Skeleton.from_json(values["skeleton"]), values["motion"]
+    )
     channels = StateChannels.find(representation.skeleton, representation.joints)
     known = None if state is None else channels
     conditions = Conditions.from_values(values, tensors, fps, weights, device, known)

@@ -181,12 +181,10 @@ class DeltaRepresentation(ModelJoints):
         for first in range(0, n_frames, _FRAMES_AT_ONCE):
             maps = values[first : first + _FRAMES_AT_ONCE, self.map_columns]
             away = quaternion_from_rotation_vector(maps.reshape(len(maps), len(index), 3))
-            rotations[first : first + len(maps), index] = multiply_quaternions(
-                self.references, away
-            )
-        rotations[:, self.root] = multiply_quaternions(
-            _about_y(path.headings), rotations[:, self.root]
-        )
+            turned = multiply_quaternions(self.references, away)
+            rotations[first : first + len(maps), index] = turned
+        heading = _about_y(path.headings)
+        rotations[:, self.root] = multiply_quaternions(heading, rotations[:, self.root])
         x, z = path.positions.T
         position = np.stack([x, values[:, self.height_column] * size, z], axis=-1)
         return self.assemble(rotations, position, fps, skeleton)
@@ -218,22 +216,14 @@ def continuous_maps(maps: np.ndarray) -> np.ndarray:
     for k in np.flatnonzero(jumps.any(axis=0)):
         joint = maps[:, k]
         smallest = int(np.linalg.norm(joint, axis=-1).argmin())
-        for t in range(smallest + 1, len(joint)):
-            joint[t] = _nearest_map(joint[t], joint[t - 1])
-        for t in range(smallest - 1, -1, -1):
-            joint[t] = _nearest_map(joint[t], joint[t + 1])
+        for t in [*range(smallest + 1, len(joint)), *range(smallest - 1, -1, -1)]:
+            vector, near = joint[t], joint[t - 1 if t > smallest else t + 1]
+            angle = float(np.linalg.norm(vector))
+            # The axis of a zero rotation is arbitrary.
+            axis = vector / angle if angle > 1e-9 else near / max(np.linalg.norm(near), 1e-9)
+            turns = round((float(axis @ near) - angle) / (2 * np.pi))
+            joint[t] = vector + axis * (2 * np.pi * turns)
     return maps
-
-
-def _nearest_map(vector: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return the exponential map (3,) nearest to `near` among those equivalent to `vector`."""
-    angle = float(np.linalg.norm(vector))
-    if angle > 1e-9:
-        axis = vector / angle
-    else:  # the axis of a zero rotation is arbitrary
-        length = float(np.linalg.norm(near))
-        axis = near / length if length else vector
-    return vector + axis * (2 * np.pi * round((float(axis @ near) - angle) / (2 * np.pi)))
 
 
 def _about_y(angles: np.ndarray) -> np.ndarray:

@@ -10,6 +10,16 @@
 | its 1x1 convolution to residual and skip | `split` |
 | a Conformer: attention, convolutions | `Conformer`: `attention`, `widen` and `narrow` |
 | translation-invariant attention (TISA) | `Attention`, `PositionBias` |
+
+The position bias of head h for a query d frames after its key (Wennberg and Henter 2021, with
+slopes that the released code adds) is
+
+    log(sum_k |a_hk| sigmoid(sign(a_hk) (d - o_hk) / s_hk) + |b_h| + 1e-8) - slope_h |d|
+
+so a table over d is sufficient. The slopes are fixed and make attention local: the bias of the head
+with the widest view falls by 37 nats at `farthest_view` frames. Attention is therefore computed in
+blocks of frames with that many neighbours on both sides, fewer for heads with a narrower view. Cost
+and memory are linear in the length.
 """
 
 from __future__ import annotations
@@ -24,13 +34,94 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import NetworkConfig
-from gesturekit.diffusion.position_bias import Band, PositionBias, bands
+from gesturekit.diffusion.noise_schedule import Predict
 
 FREQUENCIES = 64
 """Number of sines, and of cosines, of the step embedding, from 1 to 1e4 radians per step."""
 
+Band = tuple[slice, list[tuple[slice, slice, Tensor]]]
+"""Heads of similar reach, and blocks: query frames, key frames, and bias (heads, queries, keys).
+
+The queries of all blocks are all frames."""
+
 Stack = Callable[[Tensor], Tensor]
 """A map from (B, T, C) to (B, T, 2 C) in a residual block."""
+
+
+EPSILON = 1e-8
+"""Added inside the logarithm; also the attention weight at half of a head's view."""
+MIN_QUERIES = 48
+"""Least number of frames in a block; blocks have 4/3 of the head's reach if that is more."""
+GPU_QUERIES = 256
+"""The same on a GPU, where starting a small product takes longer than computing a large one."""
+
+
+class PositionBias(nn.Module):
+    """The position bias of each head: learnt kernels and fixed slopes."""
+
+    slopes: Tensor
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        shape = config.heads, config.kernels
+        self.amplitudes = nn.Parameter(torch.randn(shape) * 0.01)
+        self.offsets = nn.Parameter(torch.randn(shape) * 15)
+        self.widths = nn.Parameter(torch.full(shape, 5.0))
+        self.floors = nn.Parameter(torch.ones(config.heads))
+        ratio = config.farthest_view / config.nearest_view
+        places = (h / max(config.heads - 1, 1) for h in range(config.heads))
+        views = [config.nearest_view * ratio**place for place in places]
+        # A key 37 nats below the query's own frame has no weight in single precision.
+        self.reaches = [math.ceil(view - 1e-9) for view in views]
+        slopes = torch.tensor([-2 * math.log(EPSILON) / view for view in views])
+        self.register_buffer("slopes", slopes, persistent=False)
+
+    def table(self, reach: int) -> Tensor:
+        """Return the bias (H, 2 reach + 1) for distances from -reach to reach (query minus key)."""
+        distance = torch.arange(-reach, reach + 1, device=self.slopes.device).float()
+        amplitudes = self.amplitudes.float()
+        apart = (distance[:, None, None] - self.offsets.float()) / self.widths.float()
+        kernels = amplitudes.abs() * torch.sigmoid(amplitudes.sign() * apart)
+        score = torch.log(kernels.sum(-1) + self.floors.float().abs() + EPSILON)
+        return (score - distance.abs()[:, None] * self.slopes).T
+
+
+def bands(bias: PositionBias, n_frames: int) -> list[Band]:
+    """Group all heads into bands for a clip of `n_frames`.
+
+    In a band, the widest reach is less than four times the narrowest. At the published sizes, four
+    heads reach up to 16 frames and four up to 75. On a GPU all heads are one band.
+
+    The bias of a block is sliding windows over the table (see `PositionBias.table`), made without
+    index operations, so that gradients are deterministic on every device. Blocks of equal shape
+    share it.
+    """
+    is_gpu = bias.slopes.device.type != "cpu"
+    all_bands: list[Band] = []
+    last = len(bias.reaches)
+    while last > 0:
+        reach = bias.reaches[last - 1]
+        first = next(h for h in range(last) if is_gpu or 4 * bias.reaches[h] > reach)
+        size = max(GPU_QUERIES if is_gpu else MIN_QUERIES, 4 * reach // 3)
+        size = n_frames if n_frames <= size + 2 * reach else size
+        # Ordered by key minus query, so that one window is one query; the last query comes first.
+        widest = min(size + reach, n_frames)
+        ahead = bias.table(widest)[first:last].flip(1)
+        biases: dict[tuple[int, int, int], Tensor] = {}
+        blocks = []
+        for begin in range(0, n_frames, size):
+            q = slice(begin, min(begin + size, n_frames))
+            k = slice(max(begin - reach, 0), min(begin + size + reach, n_frames))
+            queries, keys, before = shape = (q.stop - q.start, k.stop - k.start, begin - k.start)
+            if shape not in biases:
+                start = widest - before - (queries - 1)
+                span = ahead[:, start : start + queries + keys - 1]
+                # Contiguous: the fused kernel would otherwise copy it at every call.
+                biases[shape] = span.unfold(1, keys, 1).flip(1).contiguous()
+            blocks.append((q, k, biases[shape]))
+        all_bands.append((slice(first, last), blocks))
+        last = first
+    return all_bands[::-1]
 
 
 def attend(
@@ -42,11 +133,11 @@ def attend(
     that are deterministic on every device. Both compute the same.
     """
     by_band = []
-    for band in bands:
+    for heads, blocks in bands:
         by_block = []
-        for query_frames, key_frames, bias in band.blocks:
-            q = queries[:, band.heads, query_frames]
-            k, v = keys[:, band.heads, key_frames], values[:, band.heads, key_frames]
+        for query_frames, key_frames, bias in blocks:
+            q = queries[:, heads, query_frames]
+            k, v = keys[:, heads, key_frames], values[:, heads, key_frames]
             if fused:
                 mask = bias.to(q.dtype).expand(len(q), -1, -1, -1)
                 by_block.append(F.scaled_dot_product_attention(q, k, v, mask, dropout))
@@ -112,11 +203,11 @@ class Conformer(nn.Module):
     def __init__(self, config: NetworkConfig, dilation: int) -> None:
         super().__init__()
         self.attention = Attention(config)
-        sizes = (config.channels, config.feedforward), (config.feedforward, config.channels)
-        self.widen, self.narrow = (
-            DilatedConv(*size, dilation) if dilation else nn.Linear(*size, bias=False)
-            for size in sizes
-        )
+        layer: Any = partial(nn.Linear, bias=False)
+        if dilation:
+            layer = partial(DilatedConv, dilation=dilation)
+        self.widen = layer(config.channels, config.feedforward)
+        self.narrow = layer(config.feedforward, config.channels)
         self.norm_attention = nn.LayerNorm(config.channels)
         self.norm = nn.LayerNorm(config.channels)
         self.dropout = nn.Dropout(config.dropout)
@@ -138,14 +229,10 @@ class ConformerStack(nn.Module):
         self.layers: Sequence[Conformer] = layers  # torch's list lacks their type
         self.leave = nn.Linear(config.channels, 2 * config.channels)
 
-    def bands(self, n_frames: int) -> list[list[Band]]:
-        """Return the attention bands of each layer for clips of `n_frames`."""
-        return [bands(layer.attention.bias, n_frames) for layer in self.layers]
-
-    def forward(self, x: Tensor, bands: list[list[Band]]) -> Tensor:
+    def forward(self, x: Tensor, all_bands: list[list[Band]]) -> Tensor:
         """Map (B, T, C), with the attention bands of each layer, to (B, T, 2 C)."""
         x = self.enter(x)
-        for layer, layer_bands in zip(self.layers, bands, strict=True):
+        for layer, layer_bands in zip(self.layers, all_bands, strict=True):
             x = layer(x, layer_bands)
         return self.leave(x)
 
@@ -198,10 +285,9 @@ class Denoiser(nn.Module):
             nn.SiLU(),
         )
         # The step and condition inputs of all blocks, concatenated.
-        self.project_step = nn.Linear(config.embedding, config.blocks * width)
-        self.project_condition = (
-            nn.Linear(n_condition, config.blocks * width) if n_condition else None
-        )
+        of_blocks = config.blocks * width
+        self.project_step = nn.Linear(config.embedding, of_blocks)
+        self.project_condition = nn.Linear(n_condition, of_blocks) if n_condition else None
         dilations = [config.dilations[i % len(config.dilations)] for i in range(config.blocks)]
         if config.architecture == "conformer":
             self.stacks = nn.ModuleList(ConformerStack(config, d) for d in dilations)
@@ -231,9 +317,7 @@ class Denoiser(nn.Module):
         return self._run(noisy, steps[:, :, None], conditions, self._stacks(noisy.shape[1]))
 
     @torch.no_grad()
-    def for_condition(
-        self, condition: Tensor, steps: Iterable[int]
-    ) -> Callable[[Tensor, int], Tensor]:
+    def for_condition(self, condition: Tensor, steps: Iterable[int]) -> Predict:
         """Precompute everything that does not depend on the motion.
 
         Call it in eval mode, and again after a change of the weights.
@@ -276,20 +360,20 @@ class Denoiser(nn.Module):
 
     def _stacks(self, n_frames: int) -> list[Stack]:
         """Return the stack of each block, with its attention bands for clips of `n_frames`."""
-        return [
-            partial(stack, bands=stack.bands(n_frames))
-            if isinstance(stack, ConformerStack)
-            else stack
-            for stack in self.stacks
-        ]
+        made: list[Stack] = []
+        for stack in self.stacks:
+            if isinstance(stack, ConformerStack):
+                of_layers = [bands(layer.attention.bias, n_frames) for layer in stack.layers]
+                made.append(partial(stack, all_bands=of_layers))
+            else:
+                made.append(stack)
+        return made
 
     def _run(self, noisy: Tensor, steps: Tensor, conditions: Tensor, stacks: list[Stack]) -> Tensor:
         x = self.enter(noisy.to(self.enter.weight.dtype)).relu_()
         total = 0
-        for step, condition, stack, split in zip(
-            steps, conditions, stacks, self.split, strict=True
-        ):
-            x, skip = residual_block(x, step, condition, stack, split)
+        for of_block in zip(steps, conditions, stacks, self.split, strict=True):
+            x, skip = residual_block(x, *of_block)
             total = total + skip
         total = total * len(stacks) ** -0.5
         return self.leave(self.gather(total).relu_()).to(noisy.dtype)

@@ -51,9 +51,8 @@ class NoiseSchedule:
     @classmethod
     def of(cls, config: NoiseConfig) -> NoiseSchedule:
         """Return the linear schedule of the paper."""
-        betas = torch.linspace(
-            config.first_beta, config.last_beta, config.steps, dtype=torch.float64
-        )
+        ends = config.first_beta, config.last_beta
+        betas = torch.linspace(*ends, config.steps, dtype=torch.float64)
         return cls(betas, torch.cumprod(1 - betas, 0), config.predict)
 
     @property
@@ -118,7 +117,10 @@ class NoiseSchedule:
 
 
 Predict = Callable[[Tensor, int], Tensor]
-"""Return the noise in motion (B, T, X) at a step."""
+"""Return the noise in motion (B, T, X) at a step, or a network's own prediction."""
+
+NoiseAt = Callable[[int], Tensor]
+"""Return standard normal noise (B, T, X): 0 is the initial noise, 1, 2 ... are for later steps."""
 
 MAX_DEVIATION = 10.0
 """Bound of every number of a motion, in standard deviations from its mean."""
@@ -169,7 +171,7 @@ def chosen_steps(schedule: NoiseSchedule, count: int | None, start: int | None =
 
 def sample(
     predict: Predict,
-    noise_at: Callable[[int], Tensor],
+    noise_at: NoiseAt,
     schedule: NoiseSchedule,
     *,
     solver: Solver = "ancestral",
@@ -205,11 +207,7 @@ def sample(
 
 
 def _ancestral(
-    predict: Predict,
-    noise_at: Callable[[int], Tensor],
-    schedule: NoiseSchedule,
-    visited: list[int],
-    x: Tensor,
+    predict: Predict, noise_at: NoiseAt, schedule: NoiseSchedule, visited: list[int], x: Tensor
 ) -> Tensor:
     """Sample the reverse Markov chain (eqs. 2, 3).
 

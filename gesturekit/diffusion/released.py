@@ -1,18 +1,7 @@
 """Models from checkpoints of the paper's released code (dance: LDA, LDA-U), for academic use only.
 
-| released | here |
-|---|---|
-| `input_projection`, `skip_projection`, `output_projection` | `enter`, `gather`, `leave` |
-| `diffusion_embedding.projection1`, `.projection2` | `embed_step.0`, `.2` |
-| of a block: `diffusion_projection`, `local_cond_projection` | rows of `project_step`, and of |
-|  | `project_condition` |
-| of a block: `output_projection` | `split` |
-| `attn.in_proj`: keys, values, queries | `attention.read`: queries, keys, values |
-| `attn.position_scorer`: (kernels, heads) of | `attention.bias`: (heads, kernels) of |
-| `amplitudes`, `offsets`, `sharpness`, `bias` | `amplitudes`, `offsets`, `widths`, `floors` |
-| `norm_2`, `norm_1` | `norm_attention`, `norm` |
-| motion: RightFoot ... Hips, height, | motion: Hips ..., height, |
-| lateral and forward steps, turn | turn, forward and lateral steps |
+Their columns of motion are RightFoot ... Hips, height, lateral and forward steps, and turn; ours
+are Hips ..., height, turn, forward and lateral steps. `_RENAMED` has the names of the weights.
 """
 
 from __future__ import annotations
@@ -20,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -36,29 +26,19 @@ from gesturekit.diffusion.config import NetworkConfig, NoiseConfig
 from gesturekit.diffusion.model import DiffusionModel
 from gesturekit.diffusion.motion_vector import DeltaRepresentation, Normaliser
 from gesturekit.diffusion.network import Denoiser
-from gesturekit.diffusion.released_checkpoint import ReleasedCheckpoint, Scaler
+from gesturekit.diffusion.released_checkpoint import ReleasedCheckpoint, read_checkpoint
 from gesturekit.errors import ModelError
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.rotations import IDENTITY
 
-_LIMBS = [
-    *(f"{side}{joint}" for side in ("Right", "Left") for joint in ("Foot", "Leg", "UpLeg")),
-    *(
-        f"{side}{joint}"
-        for side in ("Right", "Left")
-        for joint in ("Hand", "ForeArm", "Arm", "Shoulder")
-    ),
-]
+_JOINTS = (
+    "RightFoot RightLeg RightUpLeg LeftFoot LeftLeg LeftUpLeg RightHand RightForeArm RightArm "
+    "RightShoulder LeftHand LeftForeArm LeftArm LeftShoulder Head Neck Spine1 Spine Hips"
+)
 _AXES = ("alpha", "beta", "gamma")
 _STEPS = ("reference_dXposition", "reference_dZposition", "reference_dYrotation")
-DANCE_COLUMNS = (
-    *(
-        f"{joint}_{axis}"
-        for joint in (*_LIMBS, "Head", "Neck", "Spine1", "Spine", "Hips")
-        for axis in _AXES
-    ),
-    *("Hips_Yposition", *_STEPS),
-)
+_MAPS = (f"{joint}_{axis}" for joint in _JOINTS.split() for axis in _AXES)
+DANCE_COLUMNS = (*_MAPS, "Hips_Yposition", *_STEPS)
 """Names of the 61 columns of the released dance models."""
 
 LICENCE = (
@@ -101,46 +81,49 @@ def convert_checkpoint(
         FormatError: the rig cannot be read.
     """
     path = Path(path)
-    checkpoint = ReleasedCheckpoint.load(path)
+    checkpoint = read_checkpoint(path)
     motion = rig if isinstance(rig, Motion) else Motion.load(rig)
-    motion_scaler = _scaler(checkpoint, "out", "columns of motion", columns)
-    feature_scaler = _scaler(checkpoint, "in", "features", features)
-    _scaler(checkpoint, "style", "styles", styles)
-    assert motion_scaler is not None  # there are names of columns
+    wanted = {"columns of motion": ("out_scaler", columns), "features": ("in_scaler", features)}
+    for what, (name, names) in (wanted | {"styles": ("style_scaler", styles)}).items():
+        scaler = checkpoint.scalers.get(name)
+        count = 0 if scaler is None else len(scaler[0])
+        if count != len(names) or len(set(names)) < count:
+            wrong = f"{len(names)} names are given: they must be as many, and different"
+            raise ModelError(f"{path}: {count} {what}; {wrong}")
     vector = ReleasedVector.on(motion, columns)
     fps = _frame_rate(checkpoint)
-    conditions = Conditions(_conditioner(feature_scaler, fps), styles=tuple(styles))
+    conditions = Conditions(_conditioner(checkpoint, fps), styles=tuple(styles))
     try:
         config, noise = network_config(checkpoint), noise_config(checkpoint)
         network = _network(checkpoint, config, vector.order, conditions.width)
     except (ModelError, af.WeightsError):
         raise
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, RuntimeError) as error:
         raise ModelError(f"{path}: settings or tensors that do not fit: {error}") from error
     return DiffusionModel(
         fps=fps,
         recorded_fps=fps,
         representation=vector.representation,
         conditions=conditions,
-        normaliser=vector.normaliser(motion_scaler),
+        normaliser=vector.normaliser(*checkpoint.scalers["out_scaler"]),
         noise_config=noise,
         network=network,
         clip_denoised=False,
     )
 
 
-def _scaler(
-    checkpoint: ReleasedCheckpoint, which: str, what: str, names: Sequence[str]
-) -> Scaler | None:
-    """Return a scaler of a checkpoint; raise ModelError unless it has as many columns as names."""
-    scaler = checkpoint.scalers.get(f"{which}_scaler")
-    count = 0 if scaler is None else len(scaler.mean)
-    if count != len(names) or len(set(names)) < count:
-        raise ModelError(
-            f"{checkpoint.path}: {count} {what}; {len(names)} names are given: they must be as "
-            "many, and different"
-        )
-    return scaler
+def _frame_rate(checkpoint: ReleasedCheckpoint) -> float:
+    """Return the rate in the name of the motion's files, `expmap_30fps`; 30 without one."""
+    rate = re.search(r"(\d{1,3})fps", str(checkpoint.data.get("output_modality")))
+    return float(rate[1]) if rate and float(rate[1]) else 30.0
+
+
+def _conditioner(checkpoint: ReleasedCheckpoint, fps: float) -> SpeechConditioner | None:
+    if (scales := checkpoint.scalers.get("in_scaler")) is None:
+        return None
+    centre, scale = scales
+    extractor = af.Files(len(centre))
+    return SpeechConditioner(extractor, fps, "linear", centre, scale, "corpus", vad=False)
 
 
 def read_names(path: str | Path | None) -> tuple[str, ...]:
@@ -195,22 +178,16 @@ class ReleasedVector:
                 f"joint, {root}_Yposition, {', '.join(_STEPS)}, each once"
             )
         length = _CENTIMETRE / fields["scale"]
-        return cls(
-            DeltaRepresentation(
-                **fields,
-                makes_root=True,
-                side=np.eye(3)[0],
-                references=np.tile(IDENTITY, (len(fields["joints"]), 1)),
-                turn_first=True,
-            ),
-            [list(columns).index(name) for name in ours],
-            np.array([1.0] * len(maps) + [length, 1.0, length, length]),
-        )
+        turns, side = np.tile(IDENTITY, (len(fields["joints"]), 1)), np.eye(3)[0]
+        own = {"makes_root": True, "side": side, "references": turns, "turn_first": True}
+        order = [list(columns).index(name) for name in ours]
+        units = np.array([1.0] * len(maps) + [length, 1.0, length, length])
+        return cls(DeltaRepresentation(**fields, **own), order, units)
 
-    def normaliser(self, scaler: Scaler) -> Normaliser:
+    def normaliser(self, *scales: np.ndarray) -> Normaliser:
         """Return mean and scale of our vector, from those of the released one."""
-        mean, scale = (values[self.order] * self.units for values in (scaler.mean, scaler.scale))
-        return Normaliser(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())
+        ours = (torch.from_numpy(values[self.order] * self.units).float() for values in scales)
+        return Normaliser(*ours)
 
 
 def network_config(checkpoint: ReleasedCheckpoint) -> NetworkConfig:
@@ -239,14 +216,14 @@ def network_config(checkpoint: ReleasedCheckpoint) -> NetworkConfig:
     for key, value in _FIXED.items():
         if network.get(key, value) != value:
             raise ModelError(f"{checkpoint.path}: {key} is {network[key]!r}; known: {value!r}")
-    kernels = checkpoint.tensors[f"{_layer(0, 0)}.attn.position_scorer.offsets"].shape[1]
+    first = "residual_layers.0.nn.attention_blocks.0.attn.position_scorer"
     return NetworkConfig(
         **sizes,
         layers=network["num_blocks"],
         heads=network["num_heads"],
         feedforward=network["d_ff"],
         dilations=tuple(network["dilation_cycle"]),
-        kernels=kernels,
+        kernels=checkpoint.tensors[f"{first}.offsets"].shape[1],
         farthest_view=network["seq_len"] // 2,
         dropout=network["dropout"],
     )
@@ -262,22 +239,48 @@ def noise_config(checkpoint: ReleasedCheckpoint) -> NoiseConfig:
     )
 
 
-def _frame_rate(checkpoint: ReleasedCheckpoint) -> float:
-    """Return the rate in the name of the motion's files, `expmap_30fps`; 30 without one."""
-    rate = re.search(r"(\d{1,3})fps", str(checkpoint.data.get("output_modality")))
-    return float(rate[1]) if rate and float(rate[1]) else 30.0
+_RENAMED = (
+    (r"residual_layers\.(\d+)\.output_projection\.conv1d", r"split.\1"),
+    (r"residual_layers\.(\d+)\.diffusion_projection", r"project_step.\1"),
+    (r"residual_layers\.(\d+)\.local_cond_projection", r"project_condition.\1"),
+    (r"residual_layers\.(\d+)\.nn\.in_proj", r"stacks.\1.enter"),
+    (r"residual_layers\.(\d+)\.nn\.out_proj", r"stacks.\1.leave"),
+    (r"residual_layers\.(\d+)\.nn\.conv1d", r"stacks.\1"),
+    (r"residual_layers\.(\d+)\.nn\.attention_blocks\.(\d+)", r"stacks.\1.layers.\2"),
+    (r"attn\.in_proj", "attention.read"),
+    (r"attn\.gate", "attention.write"),
+    (r"attn\.position_scorer\.sharpness", "attention.bias.widths"),
+    (r"attn\.position_scorer\.bias", "attention.bias.floors"),
+    (r"attn\.position_scorer", "attention.bias"),
+    (r"norm_2", "norm_attention"),
+    (r"norm_1", "norm"),
+    (r"ff\.(conv|linear)_1", "widen"),
+    (r"ff\.(conv|linear)_2", "narrow"),
+    (r"input_projection\.conv1d", "enter"),
+    (r"skip_projection\.conv1d", "gather"),
+    (r"output_projection\.conv1d", "leave"),
+    (r"diffusion_embedding\.projection1", "embed_step.0"),
+    (r"diffusion_embedding\.projection2", "embed_step.2"),
+)
+"""Patterns of released names of weights, and ours; the number of a block, and of a layer in it."""
 
 
-def _conditioner(scaler: Scaler | None, fps: float) -> SpeechConditioner | None:
-    if scaler is None:
-        return None
-    extractor = af.Files(len(scaler.mean))
-    scales = scaler.mean, scaler.scale
-    return SpeechConditioner(extractor, fps, "linear", *scales, "corpus", vad=False)
-
-
-def _layer(block: int, layer: int) -> str:
-    return f"residual_layers.{block}.nn.attention_blocks.{layer}"
+def _converted(name: str, value: Tensor) -> Tensor:
+    """Return the weight with this name of ours in our layout."""
+    if name.endswith("attention.read.weight"):
+        keys, values, queries = value.chunk(3)
+        return torch.cat([queries, keys, values])
+    if name.endswith(("bias.amplitudes", "bias.offsets", "bias.widths")):  # (heads, kernels)
+        return value[0, :, :, 0, 0].T
+    if name.endswith(("bias.floors", "bias.slopes")):
+        return value.flatten()
+    if value.ndim < 3:
+        return value
+    if value.shape[-1] == 1:  # a 1x1 convolution is a linear layer
+        return value.squeeze(-1)
+    if name.endswith("narrow.weight"):
+        return value.permute(2, 0, 1).reshape(-1, value.shape[1])
+    return value.permute(0, 2, 1).reshape(len(value), -1)  # (O, I, 3) as (O, 3 I)
 
 
 def _network(
@@ -290,91 +293,27 @@ def _network(
     """
     if config.blocks * config.layers > len(checkpoint.tensors):
         raise ValueError(f"{config.blocks} blocks in {len(checkpoint.tensors)} tensors")
-    left = dict(checkpoint.tensors)
-    tensors, slopes = _renamed(left, config, order, n_condition)
-    if left:
-        raise ValueError(f"unknown tensors, such as {min(left)}")
+    tensors = {}
+    for name, value in checkpoint.tensors.items():
+        for theirs, ours in _RENAMED:
+            name = re.sub(theirs, ours, name)
+        tensors[name] = _converted(name, value)
+    tensors["enter.weight"] = tensors["enter.weight"][:, order]
+    tensors |= {name: tensors[name][order] for name in ("leave.weight", "leave.bias")}
+    for part, kind in product(("step", "condition"), ("weight", "bias")):
+        rows = [tensors.pop(f"project_{part}.{b}.{kind}") for b in range(config.blocks)]
+        if n_condition or part == "step":  # without a condition, theirs has no columns
+            tensors[f"project_{part}.{kind}"] = torch.cat(rows)
+    slopes = {name: tensors.pop(name) for name in [*tensors] if name.endswith("bias.slopes")}
     with torch.device("meta"):  # without memory, until all sizes were found right
         expected = Denoiser(len(order), n_condition, config).state_dict()
+    if unknown := tensors.keys() - expected:
+        raise ValueError(f"unknown tensors, such as {min(unknown)}")
     shapes = {name: tuple(value.shape) for name, value in expected.items()}
     fitting = fitting_tensors(checkpoint.path, tensors, shapes)
     network = Denoiser(len(order), n_condition, config)
     network.load_state_dict(fitting)
-    ours = [value for name, value in network.named_buffers() if name.endswith("slopes")]
-    for theirs, slope in zip(slopes, ours, strict=True):
-        if not torch.allclose(theirs.flatten().float(), slope, rtol=_SAME_SLOPE):
+    for name, slope in network.named_buffers():
+        if not torch.allclose(slopes[name].float(), slope, rtol=_SAME_SLOPE):
             raise ValueError("slopes of attention other than those of seq_len and heads")
     return network
-
-
-def _renamed(
-    left: dict[str, Tensor], config: NetworkConfig, order: list[int], n_condition: int
-) -> tuple[dict[str, Tensor], list[Tensor]]:
-    """Pop the tensors of a released network; return them as ours, and its slopes of attention."""
-    tensors: dict[str, Tensor] = {}
-    slopes = []
-
-    def move(ours: str, theirs: str, kinds: Sequence[str] = ("weight", "bias")) -> None:
-        for kind in kinds:
-            value = left.pop(f"{theirs}.{kind}")
-            is_point = kind == "weight" and theirs.endswith("conv1d") and value.shape[-1:] == (1,)
-            tensors[f"{ours}.{kind}"] = value.squeeze(-1) if is_point else value
-
-    move("enter", "input_projection.conv1d")
-    move("gather", "skip_projection.conv1d")
-    move("leave", "output_projection.conv1d")
-    tensors["enter.weight"] = tensors["enter.weight"][:, order]
-    tensors |= {name: tensors[name][order] for name in ("leave.weight", "leave.bias")}
-    for ours, theirs in ((0, 1), (2, 2)):
-        move(f"embed_step.{ours}", f"diffusion_embedding.projection{theirs}")
-    blocks = range(config.blocks)
-    for ours, theirs in (("step", "diffusion"), ("condition", "local_cond")):
-        for kind in ("weight", "bias"):
-            rows = [left.pop(f"residual_layers.{b}.{theirs}_projection.{kind}") for b in blocks]
-            if ours == "step" or n_condition:  # without a condition, theirs has no columns
-                tensors[f"project_{ours}.{kind}"] = torch.cat(rows)
-    for b in blocks:
-        move(f"split.{b}", f"residual_layers.{b}.output_projection.conv1d")
-        inner = f"residual_layers.{b}.nn"
-        if config.architecture == "diffwave":
-            move(f"stacks.{b}", f"{inner}.conv1d")
-            tensors[f"stacks.{b}.weight"] = _gathered(tensors[f"stacks.{b}.weight"])
-            continue
-        move(f"stacks.{b}.enter", f"{inner}.in_proj")
-        move(f"stacks.{b}.leave", f"{inner}.out_proj")
-        for layer in range(config.layers):
-            conformer, slope = _conformer(left, _layer(b, layer))
-            tensors |= {f"stacks.{b}.layers.{layer}.{k}": v for k, v in conformer.items()}
-            slopes.append(slope)
-    return tensors, slopes
-
-
-def _conformer(left: dict[str, Tensor], layer: str) -> tuple[dict[str, Tensor], Tensor]:
-    """Pop the tensors of a released Conformer; return them as ours, and its slopes."""
-
-    def pop(name: str) -> Tensor:
-        return left.pop(f"{layer}.{name}")
-
-    keys, values, queries = pop("attn.in_proj.weight").chunk(3)
-    tensors = {"attention.read.weight": torch.cat([queries, keys, values])}
-    named = {"attention.write": "attn.gate", "norm_attention": "norm_2", "norm": "norm_1"}
-    for ours, theirs in named.items():
-        tensors |= {f"{ours}.{kind}": pop(f"{theirs}.{kind}") for kind in ("weight", "bias")}
-    scorer = "attn.position_scorer"
-    kernels = {"amplitudes": "amplitudes", "offsets": "offsets", "widths": "sharpness"}
-    for ours, theirs in kernels.items():
-        tensors[f"attention.bias.{ours}"] = pop(f"{scorer}.{theirs}")[0, :, :, 0, 0].T
-    tensors["attention.bias.floors"] = pop(f"{scorer}.bias").flatten()
-    if f"{layer}.ff.conv_1.weight" in left:
-        tensors["widen.weight"] = _gathered(pop("ff.conv_1.weight"))
-        narrow = pop("ff.conv_2.weight")
-        tensors["narrow.weight"] = narrow.permute(2, 0, 1).reshape(-1, narrow.shape[1])
-    else:
-        tensors |= {"widen.weight": pop("ff.linear_1.weight")}
-        tensors |= {"narrow.weight": pop("ff.linear_2.weight")}
-    return tensors, pop(f"{scorer}.slopes")
-
-
-def _gathered(weight: Tensor) -> Tensor:
-    """Return the kernel (O, I, 3) of a convolution as that of `DilatedConv`, (O, 3 I)."""
-    return weight.permute(0, 2, 1).reshape(len(weight), -1)

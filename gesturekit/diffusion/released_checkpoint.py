@@ -15,18 +15,19 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, BinaryIO
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from audio_features.archive import check_directory
+from audio_features.archive import check_directory, read_bytes
 from audio_features.weight_files import plain_tensors
 from gesturekit.errors import ModelError
 
 _MOST_PICKLED = 16 << 20  # bytes beside the tensors; the released files have less than one MiB
-_NETWORK = "diffusion_model."
+_MOST = 4 << 30  # bytes of a checkpoint
 
 
 class _DType:
@@ -53,48 +54,22 @@ class _Array:
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _, shape, dtype, _, content = state
-        values = dtype.numbers(content)
-        if math.prod(shape) != len(values):
-            raise ValueError(f"an array of shape {shape} has {len(values)} numbers")
-        self.values = values
+        self.values = dtype.numbers(content)
+        if math.prod(shape) != len(self.values):
+            raise ValueError(f"an array of shape {shape} has {len(self.values)} numbers")
 
 
-def _new_array(*_: Any) -> _Array:
-    return _Array()
-
-
-def _scalar(dtype: _DType, content: bytes) -> Any:
-    (value,) = dtype.numbers(content)
-    return value
-
-
-class _Scaler:
-    """The fields of a pickled `StandardScaler`."""
-
-
-_STAND_INS: dict[str, Any] = {
-    "numpy.ndarray": _Array,
-    "numpy.dtype": _DType,
-    **dict.fromkeys(
-        ("sklearn.preprocessing._data.StandardScaler", "sklearn.preprocessing.data.StandardScaler"),
-        _Scaler,
-    ),
-    **{f"numpy.{core}.multiarray._reconstruct": _new_array for core in ("core", "_core")},
-    **{f"numpy.{core}.multiarray.scalar": _scalar for core in ("core", "_core")},
-}
+_STAND_INS: dict[str, Any] = {"numpy.ndarray": _Array, "numpy.dtype": _DType}
 """Functions and classes that stand for the names in a pickle."""
+for _core in ("core", "_core"):
+    _STAND_INS[f"numpy.{_core}.multiarray._reconstruct"] = lambda *_: _Array()
+    _STAND_INS[f"numpy.{_core}.multiarray.scalar"] = lambda dtype, number: dtype.numbers(number)[0]
+for _module in ("_data", "data"):
+    _STAND_INS[f"sklearn.preprocessing.{_module}.StandardScaler"] = SimpleNamespace
 
 _KNOWN = {"collections.OrderedDict", "torch._utils._rebuild_tensor_v2", "_codecs.encode"}
 _KNOWN |= {f"torch.{kind}Storage" for kind in ("Float", "Double", "Half", "Long", "Int", "Bool")}
 _KNOWN |= _STAND_INS.keys()
-
-
-@dataclass(frozen=True)
-class Scaler:
-    """Mean and scale of each column (S,), float64."""
-
-    mean: np.ndarray
-    scale: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -106,104 +81,89 @@ class ReleasedCheckpoint:
         tensors: of the network, by their released names.
         data: settings of the data, without the scalers.
         diffusion: settings of diffusion and network.
-        scalers: `in_scaler` of the features, `style_scaler` and `out_scaler` of the motion; None
-            for one that the model lacks.
+        scalers: mean and scale (S,) float64 of each column of the features (`in_scaler`), the
+            motion (`out_scaler`) and the `style_scaler`; None for one that the model lacks.
     """
 
     path: Path
     tensors: dict[str, Tensor]
     data: Mapping[str, Any]
     diffusion: Mapping[str, Any]
-    scalers: Mapping[str, Scaler | None]
-
-    @classmethod
-    def load(cls, path: Path) -> ReleasedCheckpoint:
-        """Read a checkpoint.
-
-        Raises:
-            ModelError: it is missing, damaged, of another kind, or holds any other Python object.
-            WeightsError: its tensors claim more numbers than the file has.
-        """
-        content = _read(path)
-        try:
-            state, settings = content["state_dict"], content["hyper_parameters"]
-            data, diffusion = dict(settings["Data"]), dict(settings["Diffusion"])
-            scalers = {name: _scaler(value) for name, value in data.pop("scalers").items()}
-            tensors = plain_tensors(path, state)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            why = f"no entry {error}" if isinstance(error, KeyError) else error
-            raise ModelError(
-                f"{path}: no checkpoint of Listen, Denoise, Action! ({why}); expected the .ckpt "
-                "that its training wrote"
-            ) from error
-        ours = {
-            name.removeprefix(_NETWORK): tensor
-            for name, tensor in tensors.items()
-            if name.startswith(_NETWORK)
-        }
-        return cls(path, ours, data, diffusion, scalers)
+    scalers: Mapping[str, Any]
 
 
-def _scaler(value: Any) -> Scaler | None:
-    if value is None:
-        return None
-    mean, scale = (np.array(part.values, np.float64) for part in (value.mean_, value.scale_))
-    if mean.shape != scale.shape or not np.isfinite([mean, scale]).all() or (scale <= 0).any():
-        raise ValueError("a scaler whose mean and scale are not finite numbers, scale above 0")
-    return Scaler(mean, scale)
+def read_checkpoint(path: Path) -> ReleasedCheckpoint:
+    """Read a checkpoint.
 
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return the pickled dictionary of a checkpoint."""
+    Raises:
+        ModelError: it is missing, damaged, of another kind, or holds any other Python object.
+        WeightsError: its tensors claim more numbers than the file has.
+    """
     if path.suffix.lower() in (".sav", ".pkl"):
-        raise ModelError(
-            f"{path}: a pickle of Python objects, which can run code and is never read. Rig, "
-            "styles and features are given by --rig, --styles and --features; give the .ckpt"
-        )
+        how = "give the .ckpt, with --rig, --styles and --features in place of this file"
+        raise ModelError(f"{path}: a pickle, which can run code and is never read: {how}")
+    file = io.BytesIO(read_bytes(path, _MOST, ModelError))
     try:
-        if path.exists() and not path.is_file():  # reading a pipe may never end
-            raise ValueError("not a regular file")
-        _check_names(path)
+        check_directory(path, zip64=True)
+        unsafe = _unsafe_name(file)
+        file.seek(0)
         with torch.serialization.safe_globals([(made, name) for name, made in _STAND_INS.items()]):
-            content = torch.load(path, map_location="cpu", weights_only=True)
-        if not isinstance(content, dict):
-            raise ValueError("no dictionary")
-    except ModelError:
-        raise
-    except FileNotFoundError:
-        raise ModelError(f"{path}: no such file") from None
+            content = {} if unsafe else torch.load(file, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:  # torch's message advises to load it anyway
         raise ModelError(f"{path}: cannot be read as a checkpoint: it is damaged") from error
     except Exception as error:  # zipfile and torch document no exceptions for damaged files
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ModelError(f"{path}: cannot be read as a checkpoint: {reason}") from error
-    return content
+    if unsafe:
+        usual = "a checkpoint has tensors, numbers, text and StandardScaler only"
+        raise ModelError(f"{path}: holds {unsafe}, which could run code; nothing was read: {usual}")
+    try:
+        state, settings = content["state_dict"], content["hyper_parameters"]
+        data, diffusion = dict(settings["Data"]), dict(settings["Diffusion"])
+        scalers = {name: _scales(value) for name, value in data.pop("scalers").items()}
+        tensors = plain_tensors(path, state)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        why = f"no entry {error}" if isinstance(error, KeyError) else error
+        what = "no checkpoint of Listen, Denoise, Action!, the .ckpt that its training wrote"
+        raise ModelError(f"{path}: {what}: {why}") from error
+    prefix = "diffusion_model."
+    ours = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+    return ReleasedCheckpoint(path, ours, data, diffusion, scalers)
 
 
-def _check_names(path: Path) -> None:
-    """Refuse a zip that unpacks to more than it is, and every name of a class or function but ours.
+def _scales(value: Any) -> np.ndarray | None:
+    """Return mean and scale (2, S) of a scaler."""
+    if value is None:
+        return None
+    scales = np.array([value.mean_.values, value.scale_.values], np.float64)
+    if not np.isfinite(scales).all() or (scales[1] <= 0).any():
+        raise ValueError("a scaler whose mean and scale are not finite numbers, scale above 0")
+    return scales
+
+
+def _unsafe_name(file: BinaryIO) -> str | None:
+    """Return a class or function that the pickle of a zip names, other than ours; None for none.
 
     Raises:
-        ModelError: another name.
-        ValueError: another kind of file.
+        ValueError: another kind of file, or a zip that unpacks to more than it is.
     """
-    check_directory(path, zip64=True)
-    with zipfile.ZipFile(path) as archive:
+    with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        if any(member.compress_type for member in members):
-            raise ValueError("it is compressed, which torch never does")
-        if sum(member.file_size for member in members) > path.stat().st_size:
-            raise ValueError("its members claim more bytes than the file has")
         pickled = [member for member in members if member.filename.endswith("data.pkl")]
-        if len(pickled) != 1 or pickled[0].file_size > _MOST_PICKLED:
-            raise ValueError("not one data.pkl of at most 16 MiB")
+        claimed = sum(member.file_size for member in members)
+        is_one = len(pickled) == 1 and pickled[0].file_size <= _MOST_PICKLED
+        problems = {
+            "it is compressed, which torch never does": any(m.compress_type for m in members),
+            "its members claim more bytes than the file has": claimed > file.seek(0, io.SEEK_END),
+            "not one data.pkl of at most 16 MiB": not is_one,
+        }
+        if problem := next((text for text, is_so in problems.items() if is_so), None):
+            raise ValueError(problem)
         content = archive.read(pickled[0])
-    for operation, argument, _ in pickletools.genops(io.BytesIO(content)):
+    for operation, argument, _ in pickletools.genops(content):
         if operation.name == "STACK_GLOBAL":
             raise ValueError("a pickle of a newer protocol than torch writes")
         name = str(argument).replace(" ", ".")
         if operation.name in ("GLOBAL", "INST") and name not in _KNOWN:
-            raise ModelError(
-                f"{path}: holds {name}, which could run code; nothing was read. A checkpoint of "
-                "the released code has tensors, numbers, text and StandardScaler only"
-            )
+            return name
+    return None

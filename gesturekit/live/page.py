@@ -85,12 +85,8 @@ class Page:
             routes=[Route("/", self._page), WebSocketRoute("/stream", self._stream)],
             middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))],
         )
-        config = uvicorn.Config(
-            app,
-            log_level="critical",
-            ws_per_message_deflate=False,
-            timeout_graceful_shutdown=_END_SECONDS,
-        )
+        quiet: dict[str, Any] = {"log_level": "critical", "ws_per_message_deflate": False}
+        config = uvicorn.Config(app, timeout_graceful_shutdown=_END_SECONDS, **quiet)
         self._server = uvicorn.Server(config)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, args=(listening,), daemon=True)

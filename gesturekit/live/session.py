@@ -340,9 +340,8 @@ class Session:
         try:
             opened = [self._opened(sink, source, example) for sink in self.sinks]
         except ImportError as error:
-            raise ConfigError(
-                f"{error.name} is not installed; run: pip install 'gesturekit[live]'"
-            ) from None
+            how = "pip install 'gesturekit[live]'"
+            raise ConfigError(f"{error.name} is not installed; run: {how}") from None
         report.latency = stream.latency + self.block
         latest = time.monotonic() + (0 if source.is_live else _PAGE_SECONDS)
         while not all(getattr(sink, "is_open", True) for sink in opened):
@@ -387,14 +386,13 @@ class Session:
 
     def _page(self, source: Source, example: Motion) -> Sink:
         from gesturekit.live.page import Page
-        from gesturekit.serving.access import address_of, listening_socket, names_of, token_of
+        from gesturekit.serving.access import listen
 
-        token, hosts = token_of(self.host, self.token_file), names_of(self.host, self.names)
-        listening = listening_socket(self.host, self.port)
+        listening, url, hosts, token = listen(self.host, self.port, self.names, self.token_file)
         sound = source.path if isinstance(source, FileSource) and not self.fast else None
         shown: dict[str, Any] = {"body": self.body, "framing": self.framing, "token": token}
         page = Page(listening, hosts, example, sound=sound, **shown)
         start = "" if source.is_live else f"; starts when it is open, or in {_PAGE_SECONDS} s"
         start += "" if token is None else "; asks for the token, or takes it as /?token=TOKEN"
-        self.say(f"Page at {address_of(listening, self.host)} (end with Ctrl-C){start}")
+        self.say(f"Page at {url} (end with Ctrl-C){start}")
         return page

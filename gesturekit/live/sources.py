@@ -156,10 +156,9 @@ class Microphone:
         try:
             about = self._portaudio.query_devices(self._device, "input")
         except (ValueError, self._portaudio.PortAudioError) as error:
-            raise ConfigError(
-                f"mic{'' if device is None else f':{device}'}: {error}; gesturekit live "
-                "--list-devices lists them"
-            ) from None
+            where = "mic" if device is None else f"mic:{device}"
+            how = "gesturekit live --list-devices lists them"
+            raise ConfigError(f"{where}: {error}; {how}") from None
         self.rate = int(about["default_samplerate"])
 
     def run(self, put: Put, stopped: threading.Event) -> None:

@@ -18,43 +18,36 @@ TOKEN = "GESTUREKIT_TOKEN"
 _ALL_INTERFACES = ("0.0.0.0", "::")
 
 
-def listening_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens; port 0 takes a free one.
-
-    Raises:
-        ConfigError: the address is in use, or not of this machine.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except OSError as error:
-        # The message of `create_server` repeats the address.
-        reason = (error.strerror or str(error)).partition(" (while")[0]
-        raise ConfigError(
-            f"--host {host} --port {port}: {reason}; another --port may be free"
-        ) from None
-
-
-def address_of(listening: socket.socket, host: str) -> str:
-    """Return the URL of a socket that listens on this host."""
-    shown = f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{listening.getsockname()[1]}/"
-
-
-def names_of(host: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names under which a service is reached.
+def listen(
+    host: str, port: int, names: tuple[str, ...], token_file: Path | None
+) -> tuple[socket.socket, str, tuple[str, ...], str | None]:
+    """Return a socket that listens, its URL, the names under which it is reached, and the token.
 
     Args:
         host: address on which it listens. One of all interfaces has many names; there, any name is
             taken unless `names` are given, and the token protects.
+        port: 0 takes a free one.
         names: additional names.
+        token_file: file of the token; None for that of the environment.
+
+    Raises:
+        ConfigError: the address is in use, or not of this machine; see `_token_of`.
     """
-    if host in _ALL_INTERFACES and not names:
-        return ("*",)
-    return (*LOOPBACK, host, f"[{host}]", *names)
+    token, family = _token_of(host, token_file), socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listening = socket.create_server((host, port), family=family)
+    except OSError as error:
+        # The message of `create_server` repeats the address.
+        reason = (error.strerror or str(error)).partition(" (while")[0]
+        reason = f"{reason}; another --port may be free"
+        raise ConfigError(f"--host {host} --port {port}: {reason}") from None
+    is_any = host in _ALL_INTERFACES and not names
+    shown = f"[{host}]" if ":" in host else host
+    url = f"http://{shown}:{listening.getsockname()[1]}/"
+    return listening, url, ("*",) if is_any else (*LOOPBACK, host, f"[{host}]", *names), token
 
 
-def token_of(host: str, file: Path | None) -> str | None:
+def _token_of(host: str, file: Path | None) -> str | None:
     """Return the token of a file, or of the environment; None without one on this machine.
 
     Raises:
@@ -63,16 +56,12 @@ def token_of(host: str, file: Path | None) -> str | None:
     if file is None and TOKEN not in os.environ:
         if host in LOOPBACK:
             return None
-        raise ConfigError(
-            f"--host {host} is reached from other machines: give a token by --token-file or "
-            f"${TOKEN}"
-        )
+        how = f"give a token by --token-file or ${TOKEN}"
+        raise ConfigError(f"--host {host} is reached from other machines: {how}")
     token = os.environ[TOKEN] if file is None else file.read_text(encoding="utf-8").strip()
     if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
-        raise ConfigError(
-            "the token must be at least 16 printable ASCII characters without spaces, such as "
-            "those of: openssl rand -hex 16"
-        )
+        rule = "at least 16 printable ASCII characters without spaces"
+        raise ConfigError(f"the token must be {rule}, such as those of: openssl rand -hex 16")
     return token
 
 
@@ -101,6 +90,5 @@ def check_token(request: HTTPConnection, token: str | None) -> None:
     """
     given = request.headers.get("authorization", "").encode()
     if token is not None and not hmac.compare_digest(given, f"Bearer {token}".encode()):
-        raise HTTPException(
-            401, "send the header Authorization: Bearer TOKEN", {"WWW-Authenticate": "Bearer"}
-        )
+        headers = {"WWW-Authenticate": "Bearer"}
+        raise HTTPException(401, "send the header Authorization: Bearer TOKEN", headers)

@@ -6,13 +6,12 @@ See docs/serve.md. The pages load nothing from elsewhere.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import logging
 import re
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from html import escape
@@ -112,20 +111,16 @@ def _query(name: str, entry: Control) -> tuple[Any, Any]:
     return Annotated[kind if entry.default is not None else kind | None, query], entry.default
 
 
+_PLAYER = "html is a player with the sound"
+_ITEM = "name of the utterance; other items with the same seed are other draws"
+
+
 class _Settings(BaseModel, extra="forbid"):
     """Settings of a motion beside the controls."""
 
-    format: Annotated[
-        Literal["bvh", "npz", "html"], Query(description="html is a player with the sound")
-    ] = "bvh"
-    seed: Annotated[int, Query(ge=0, lt=2**63)] = 0
-    item: Annotated[
-        str,
-        Query(
-            max_length=1000,
-            description="name of the utterance; other items with the same seed are other draws",
-        ),
-    ] = ""
+    format: Literal["bvh", "npz", "html"] = Query("bvh", description=_PLAYER)
+    seed: int = Query(0, ge=0, lt=2**63)
+    item: str = Query("", max_length=1000, description=_ITEM)
 
 
 # Settings of a motion, from the query of a URL: the controls of every system that are no file.
@@ -135,11 +130,7 @@ _CONTROLS: dict[str, Any] = {
     if entry.kind not in (Path, None)
 }
 if TYPE_CHECKING:
-
-    class MotionRequest(_Settings):
-        """Settings and controls of a motion."""
-
-        fps: float | None
+    MotionRequest = _Settings
 else:
     MotionRequest = create_model("MotionRequest", __base__=_Settings, **_CONTROLS)
 
@@ -150,29 +141,25 @@ async def receive(request: Request, file: Path, limits: Limits) -> None:
     Raises:
         HTTPException: it is a form, too large, too slow, or empty.
     """
+    curl = "curl --data-binary @speech.wav"
     if request.headers.get("content-type", "").startswith("multipart/"):
-        raise HTTPException(
-            422, "send the sound itself as the body, not a form: curl --data-binary @speech.wav"
-        )
-    size, most = 0, int(limits.megabytes * 2**20)
+        raise HTTPException(422, f"send the sound itself as the body, not a form: {curl}")
+    size, most = 0, limits.megabytes
     try:
         async with asyncio.timeout(limits.body_seconds):
             with file.open("wb") as out:
                 async for block in request.stream():
                     size += len(block)
-                    if size > most:
-                        raise HTTPException(
-                            413, f"the sound is larger than {limits.megabytes:g} MB"
-                        )
+                    if size > int(most * 2**20):
+                        raise HTTPException(413, f"the sound is larger than {most:g} MB")
                     out.write(block)
     except TimeoutError:
-        raise HTTPException(
-            408, f"the sound did not arrive within {limits.body_seconds:g} s"
-        ) from None
+        late = f"the sound did not arrive within {limits.body_seconds:g} s"
+        raise HTTPException(408, late) from None
     except ClientDisconnect:
         raise HTTPException(400, "the connection was closed") from None
     if not size:
-        raise HTTPException(400, "send a sound file as the body: curl --data-binary @speech.wav")
+        raise HTTPException(400, f"send a sound file as the body: {curl}")
 
 
 def create_app(
@@ -204,12 +191,7 @@ def create_app(
     )
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))
 
-    @app.post(
-        "/motion",
-        openapi_extra=_BODY,
-        responses=_ERRORS,
-        response_class=Response,
-    )
+    @app.post("/motion", openapi_extra=_BODY, responses=_ERRORS, response_class=Response)
     async def motion(request: Request, asked: Annotated[MotionRequest, Query()]) -> Response:
         """Turn a sound into motion of the same length."""
         return await service.counted_answer(request, asked)
@@ -247,12 +229,7 @@ class _Service:
     def __init__(self, model: Model, limits: Limits, token: str | None) -> None:
         self.limits, self._model, self._token = limits, model, token
         self._warm_up()
-        self._threads = ThreadPoolExecutor(
-            limits.workers,
-            thread_name_prefix="motion",
-            initializer=torch.set_num_threads,
-            initargs=(1,),
-        )
+        self._threads = ThreadPoolExecutor(limits.workers, "motion", torch.set_num_threads, (1,))
         self._admitted = 0
         self.registry = CollectorRegistry()
         args: dict[str, Any] = {"registry": self.registry, "namespace": "gesturekit"}
@@ -272,14 +249,14 @@ class _Service:
         From then on, matrix products of the whole process take one thread: their last bits depend
         on the number of threads, which motions made at once would change for each other.
         """
-        if not self._model.inputs.speech:
-            raise GestureKitError("this model has no speech input; serve one that has")
-        if self._model.inputs.words or self._model.inputs.files:
-            raise GestureKitError(
-                "this model reads a file beside each sound (own features, or words), which a "
-                "request does not bring: use gesturekit render, or compute the features by an "
-                "installed extractor"
-            )
+        inputs, problem = self._model.inputs, ""
+        if not inputs.speech:
+            problem = "this model has no speech input; serve one that has"
+        elif inputs.words or inputs.files:
+            how = "use gesturekit render, or compute the features by an installed extractor"
+            problem = f"this model reads a file beside each sound (own features, or words): {how}"
+        if problem:
+            raise GestureKitError(problem)
         self._model.generate(af.Wave.load(bundled_speech(), duration=1.0))
         threadpool_limits(1, user_api="blas")  # now that all libraries are loaded
 
@@ -316,20 +293,19 @@ class _Service:
 
         Everything that a request writes lies in a folder of its own, under fixed names.
         """
+        if self._admitted >= self.limits.workers + self.limits.queue:
+            raise HTTPException(503, "all workers are busy", {"Retry-After": "10"})
+        self._admitted += 1
         try:
-            with (
-                self._place_in_queue(),
-                tempfile.TemporaryDirectory(prefix="gesturekit-serve-") as folder,
-            ):
+            with tempfile.TemporaryDirectory(prefix="gesturekit-serve-") as folder:
                 sound = Path(folder) / "speech"
                 await receive(request, sound, self.limits)
                 loop = asyncio.get_running_loop()
                 try:
                     return await loop.run_in_executor(self._threads, self._render, sound, asked)
                 except (GestureKitError, af.AudioFeaturesError) as error:
-                    reason = re.sub(
-                        "`ffmpeg [^`]*`", "`ffmpeg -i YOUR_FILE speech.wav`", str(error)
-                    )
+                    ours = "`ffmpeg -i YOUR_FILE speech.wav`"
+                    reason = re.sub("`ffmpeg [^`]*`", ours, str(error))
                     reason = reason.replace(str(sound), "the sound")
                     raise HTTPException(422, reason.replace(folder, "")) from None
         except (OSError, MemoryError, RuntimeError) as error:
@@ -337,29 +313,19 @@ class _Service:
                 raise HTTPException(503, "the disk of the service is full") from None
             log.exception("a request failed")
             raise HTTPException(500, "the motion could not be made; see the log") from None
-
-    @contextlib.contextmanager
-    def _place_in_queue(self) -> Iterator[None]:
-        """Hold a place in the queue; refuse the request if there is none."""
-        if self._admitted >= self.limits.workers + self.limits.queue:
-            raise HTTPException(503, "all workers are busy", {"Retry-After": "10"})
-        self._admitted += 1
-        try:
-            yield
         finally:
             self._admitted -= 1
 
     def _render(self, sound: Path, asked: MotionRequest) -> tuple[bytes, float]:
         """Generate the motion of a sound file in its folder, and return it and its seconds."""
         wave = af.Wave.load(sound, max_seconds=self.limits.seconds)
-        rate = asked.fps or self._model.recorded_fps
-        if (n_frames := wave.n_frames(rate)) > self.limits.frames:
-            raise GestureKitError(
-                f"{wave.duration:g} s at {rate:g} frames per second are {n_frames} frames; this "
-                f"service makes at most {self.limits.frames:g}: give a lower fps, or less sound"
-            )
         # Those that were given: a default would count as given with `raw`.
         controls = asked.model_dump(exclude={"format"}, exclude_unset=True)
+        rate = controls.get("fps") or self._model.recorded_fps
+        if (n_frames := wave.n_frames(rate)) > self.limits.frames:
+            longest = f"at most {self.limits.frames:g}: give a lower fps, or less sound"
+            long = f"{wave.duration:g} s at {rate:g} frames per second are {n_frames} frames"
+            raise GestureKitError(f"{long}; this service makes {longest}")
         motion = self._model.generate(wave, **controls)
         out = sound.with_name(f"motion.{asked.format}")
         extra = {"audio": sound, "title": "motion"} | drawing_options(self._model)

@@ -24,8 +24,7 @@ from audio_features.extractor import needs_of
 from audio_features.weight_files import WeightPlaces
 from gesturekit.corpus.speech import SpeechConditioner
 from gesturekit.errors import ConfigError, ModelError, gesturekit_errors
-from gesturekit.face.eyes import Eyes
-from gesturekit.face.speech import faces_from_speech
+from gesturekit.face.speech import Eyes, faces_from_speech
 from gesturekit.model import Controls, Inputs
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import unidentified

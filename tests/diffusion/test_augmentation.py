@@ -5,7 +5,7 @@ import pytest
 
 from gesturekit.diffusion import Conditions, DeltaRepresentation
 from gesturekit.diffusion.training.batches import source_frames, stretch, stretch_factor
-from gesturekit.diffusion.training.recordings import mirror_condition
+from gesturekit.diffusion.training.loading import mirror_condition
 from gesturekit.errors import ConfigError
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_rotation_vector

@@ -6,7 +6,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from gesturekit.diffusion import DeltaRepresentation
-from gesturekit.diffusion.losses import FootVelocity, foot_sliding
+from gesturekit.diffusion.losses import foot_sliding, foot_velocity
+from gesturekit.diffusion.motion_vector import VectorPlaces
 from gesturekit.motion.contacts import foot_positions
 from gesturekit.motion.torch_kinematics import foot_kinematics
 
@@ -25,9 +26,9 @@ def walker(gesture):
 
 def test_foot_velocity_matches_that_of_motion(walker):
     representation = DeltaRepresentation.fit([walker])
-    velocity = FootVelocity(representation, foot_kinematics(representation), walker.fps)
+    places = VectorPlaces(representation, foot_kinematics(representation))
     values = torch.from_numpy(representation.encode(walker)).float()
-    made = velocity(values[None])[0].numpy() * representation.scale
+    made = foot_velocity(places, values[None], walker.fps)[0].numpy() * representation.scale
     real = np.diff(foot_positions(walker), axis=0) * walker.fps
     speeds, real_speeds = (np.linalg.norm(velocity, axis=-1) for velocity in (made, real))
     np.testing.assert_allclose(speeds, real_speeds, atol=2e-4)

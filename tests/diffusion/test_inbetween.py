@@ -10,7 +10,7 @@ from rigs import at_rest, turned_at_root
 
 from gesturekit import Motion
 from gesturekit.diffusion import NoiseConfig
-from gesturekit.diffusion.inbetween import InbetweenConstraint, settled
+from gesturekit.diffusion.sampler import InbetweenConstraint, settled
 from gesturekit.errors import ModelError
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotation_angles

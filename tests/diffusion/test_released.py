@@ -264,6 +264,12 @@ def test_other_files_and_wrong_lists(gesturekit, tmp_path, lists):
     torch.save(state, path)
     gesturekit("convert-checkpoint", path, *lists).fails(2, "unknown tensors, such as more.weight")
     del state["state_dict"]["diffusion_model.more.weight"]
+    name = next(name for name in state["state_dict"] if name.endswith("position_scorer.amplitudes"))
+    right = state["state_dict"][name]
+    state["state_dict"][name] = torch.ones(3)
+    torch.save(state, path)
+    gesturekit("convert-checkpoint", path, *lists).fails(2, "tensors that do not fit")
+    state["state_dict"][name] = right
     scaler = state["hyper_parameters"]["Data"]["scalers"]["out_scaler"]
     for values, wrong, right in ((scaler.scale_, 0.0, 1.0), (scaler.mean_, np.nan, 0.0)):
         values[3] = wrong

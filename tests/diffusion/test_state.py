@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ import audio_features as af
 import gesturekit as gk
 from gesturekit.corpus import Manifest
 from gesturekit.diffusion import train
-from gesturekit.diffusion.losses import StateDistance
-from gesturekit.diffusion.motion_vector import measured_state
+from gesturekit.diffusion.losses import state_distance
+from gesturekit.diffusion.motion_vector import VectorPlaces, measured_state
 from gesturekit.diffusion.training.batches import Batches
 from gesturekit.diffusion.training.loading import load_training_data
 from gesturekit.errors import ConfigError, ModelError
@@ -92,7 +93,7 @@ def test_the_state_and_all_else_are_dropped_apart(config):
 def test_the_loss_is_the_distance_of_what_is_shown(config):
     """In standard deviations of the recordings; nothing for the recording itself."""
     data = load_training_data(config)
-    distance = StateDistance(data.representation, data.state_process)
+    distance = partial(state_distance, VectorPlaces(data.representation), data.state_process)
     own = torch.from_numpy(data.recordings[0].motion[:60])[None]
     mean = data.normaliser.mean
     calmer = mean + 0.5 * (own - mean)

@@ -15,21 +15,21 @@ from gesturekit.errors import ModelError
 def test_windows_cover_every_frame_once_in_sum(n_frames, size):
     tiles = tiles_of(n_frames, size)
     total = np.zeros(n_frames)
-    for tile in tiles:
-        assert 0 <= tile.first < tile.last <= n_frames
-        assert len(tile.weights) == tile.last - tile.first <= size
-        assert tile.weights.min() >= 0
-        total[tile.first : tile.last] += tile.weights
+    for frames, weights in tiles:
+        assert 0 <= frames.start < frames.stop <= n_frames
+        assert len(weights) == frames.stop - frames.start <= size
+        assert weights.min() >= 0
+        total[frames] += weights
     np.testing.assert_allclose(total, 1, atol=1e-6)
     assert len(tiles) <= 1 + 2 * n_frames / size
-    starts = [tile.first for tile in tiles]
+    starts = [frames.start for frames, _ in tiles]
     assert starts == sorted(set(starts))
-    for before, after in itertools.pairwise(tiles):
+    for (before, falling), (after, rising) in itertools.pairwise(tiles):
         # One fades out while the next one fades in.
-        shared = before.last - after.first
+        shared = before.stop - after.start
         assert shared > 0
-        assert (np.diff(after.weights[:shared]) >= 0).all()
-        assert (np.diff(before.weights[-shared:]) <= 0).all()
+        assert (np.diff(rising[:shared]) >= 0).all()
+        assert (np.diff(falling[-shared:]) <= 0).all()
     with pytest.raises(ModelError, match=r"(?=.*\b3\b)(?=.*\b4\b)"):
         tiles_of(n_frames, 3)
 

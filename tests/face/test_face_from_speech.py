@@ -11,7 +11,7 @@ from sounds import voiced
 import audio_features as af
 from gesturekit.errors import MotionError
 from gesturekit.face import METHODS, EnergyFace, face_from_speech
-from gesturekit.face.visemes import SHAPES, Phone, mouth_of_phones
+from gesturekit.face.phones import SHAPES, mouth_of_phones
 from gesturekit.motion.face import ARKIT, FaceTrack
 from gesturekit.systems import bundled_speech
 
@@ -200,7 +200,7 @@ def test_a_stream_of_speech_resembles_the_face_of_its_file():
 def shapes_of(phones: str, fps: float = 25.0) -> FaceTrack:
     """Return the mouth of phones that last 0.1 s each, in loud sound."""
     names = phones.split()
-    spoken = [Phone(name, 0.1 * k, 0.1 * (k + 1)) for k, name in enumerate(names)]
+    spoken = [(name, 0.1 * k, 0.1 * (k + 1)) for k, name in enumerate(names)]
     values = mouth_of_phones(spoken, np.ones(10 * len(names)), hold=1.2 / fps)
     return FaceTrack(SHAPES, values)
 
@@ -226,14 +226,14 @@ def test_the_lower_lip_meets_the_teeth_at_f_and_lips_are_round_at_w():
 
 def test_a_closure_is_seen_however_short_and_however_slow_the_frames():
     for start in np.arange(0.5, 0.6, 0.01):
-        phones = [Phone("AA", 0.0, start), Phone("P", start, start + 0.02), Phone("AA", 0.6, 1.2)]
+        phones = [("AA", 0.0, start), ("P", start, start + 0.02), ("AA", 0.6, 1.2)]
         mouth = FaceTrack(SHAPES, mouth_of_phones(phones, np.ones(120), hold=1.2 / 10.0))
         assert opening(mouth)[::10].min() < 0.02
 
 
 def test_lips_close_within_50_ms_and_press_while_they_are_closed():
     """The smoothstep 3 x² - 2 x³ is 0.104 at 1/5 of the 0.05 s before and after."""
-    mouth = mouth_of_phones([Phone("P", 0.5, 0.62)], np.ones(120), hold=0.04)
+    mouth = mouth_of_phones([("P", 0.5, 0.62)], np.ones(120), hold=0.04)
     press = mouth[[44, 46, 50, 61, 65, 67], SHAPES.index("mouthPress")]
     np.testing.assert_allclose(press, 0.3 * np.array([0, 0.104, 1, 1, 0.104, 0]), atol=1e-6)
 
@@ -241,14 +241,14 @@ def test_lips_close_within_50_ms_and_press_while_they_are_closed():
 def test_lips_move_from_150_ms_before_sound_until_150_ms_after_it():
     """A click at 1.0 s: half of a round mouth's pucker is seen at 0.845 and 1.155 s."""
     click = (np.arange(200) == 100).astype(float)
-    mouth = mouth_of_phones([Phone("UW", 0.0, 2.0)], click, hold=0.04)
+    mouth = mouth_of_phones([("UW", 0.0, 2.0)], click, hold=0.04)
     pucker = mouth[:, SHAPES.index("mouthPucker")]
     assert (pucker > 0.5 * pucker[100]).nonzero()[0][[0, -1]].tolist() == [85, 115]
     assert pucker[100] > 0.5 and max(pucker[60], pucker[140]) < 1e-3
 
 
 def test_phones_move_the_mouth_as_far_as_the_sound_is_loud():
-    phones = [Phone("AA", 0.0, 1.0), Phone("UW", 1.0, 2.0)]
+    phones = [("AA", 0.0, 1.0), ("UW", 1.0, 2.0)]
     loud, soft, none = (mouth_of_phones(phones, np.full(200, x), 0.04) for x in (1.0, 0.5, 0.0))
     np.testing.assert_allclose(soft[:, 0], 0.5 * loud[:, 0])
     assert loud.max() > 0.5 and not none.any()

@@ -60,8 +60,9 @@ class Batches:
         # Recordings by length of their windows: all windows of a batch have the same length.
         self._groups: dict[int, list[TrainingSequence]] = {}
         weights: dict[int, list[float]] = {}
+        window = max(2, round(config.training.window * config.fps))
         for recording in data.recordings:
-            length, kind = config.window_frames, recording.is_paired
+            length, kind = window, recording.is_paired
             while length > recording.n_frames:
                 length = int(length * _STEP)
             self._groups.setdefault(length, []).append(recording)
@@ -112,22 +113,13 @@ class Batches:
             factor, frames = 1.0, length
         start = int(torch.randint(recording.n_frames - frames + 1, (), generator=rng))
         representation, conditions = self.data.representation, self.data.conditions
-        motion = stretch(
-            recording.motion,
-            start,
-            length,
-            factor,
-            maps=representation.map_columns,
-            steps=representation.root_columns,
-        )
+        maps, displacement = representation.map_columns, representation.root_columns
+        window = start, length, factor
+        motion = stretch(recording.motion, *window, maps=maps, steps=displacement)
+        columns, offset = conditions.columns, conditions.path_mean / conditions.path_scale
+        steps, flags = columns["path"], columns["events"]
         condition = stretch(
-            recording.condition,
-            start,
-            length,
-            factor,
-            steps=conditions.columns["path"],
-            steps_offset=conditions.path_mean / conditions.path_scale,
-            flags=conditions.columns["events"],
+            recording.condition, *window, steps=steps, steps_offset=offset, flags=flags
         )
         return torch.from_numpy(motion), torch.from_numpy(condition)
 

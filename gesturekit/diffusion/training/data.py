@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -29,12 +29,7 @@ from gesturekit.training.model_folder import (
     rig_values,
     save_data,
 )
-from gesturekit.training.origin import (
-    TrainedSegment,
-    from_values,
-    read_start,
-    start_tensors,
-)
+from gesturekit.training.origin import TrainedSegment, from_values, read_start, start_tensors
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,25 +111,29 @@ Cut = tuple[int, int, int]
 
 
 def sequences_of(
-    arrays: Sequence[Array],
-    speech: Sequence[Frames],
+    motion: Sequence[Array],
+    speech: Sequence[Array],
+    unpaired: Sequence[Array],
     conditions: Conditions,
     width: int,
-    n_paired: int,
 ) -> tuple[TrainingSequence, ...]:
     """Return recordings and their variants, mirrored copies last; no frames are read yet.
 
     Args:
-        arrays: of each recording, see `VariantArrays`.
-        speech: (S, T) of each phase of the paired recordings; empty without speech input.
+        motion: arrays of paired recordings, see `VariantArrays`.
+        speech: of each phase of these, see `SpeechArrays`; unused without speech input.
+        unpaired: those of unpaired motion.
         conditions: the layout of conditions.
         width: X, of a motion vector.
-        n_paired: number of paired recordings, which are the first ones.
     """
-    phases = [(i, k) for i, array in enumerate(arrays) for k in range(len(array.facts["lengths"]))]
-    speech_of, n_speech = dict(zip(phases, speech, strict=False)), conditions.columns["speech"].stop
-    sequences = []
-    for i, array in enumerate(arrays):
+    phases = [(i, k) for i, array in enumerate(motion) for k in range(len(array.facts["lengths"]))]
+    speech_of: dict[tuple[int, int], Frames] = {}
+    if conditions.conditioner is not None:
+        lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
+        frames = speech_frames(speech, conditions.conditioner, lengths)
+        speech_of = dict(zip(phases, frames, strict=True))
+    n_speech, sequences = conditions.columns["speech"].stop, []
+    for i, array in enumerate([*motion, *unpaired]):
         first = 0
         for mirrored in (False, True)[: 1 + array.facts["mirrored"]]:
             for phase, length in enumerate(array.facts["lengths"]):
@@ -144,48 +143,16 @@ def sequences_of(
                 name = array.facts["id"]
                 name += f" (phase {phase + 1})" if phase else ""
                 name += " (mirrored)" if mirrored else ""
-                motion = rows(slice(0, width))
+                vectors = rows(slice(0, width))
                 condition = rows(slice(width, None), n_speech, features)
-                about = i, phase, mirrored
-                sequences.append(TrainingSequence(name, motion, condition, i < n_paired, *about))
+                about = i < len(motion), i, phase, mirrored
+                sequences.append(TrainingSequence(name, vectors, condition, *about))
                 first += length
     return tuple(sorted(sequences, key=lambda sequence: sequence.mirrored))
 
 
-def stored_sequences(
-    names: Mapping[str, Sequence[str]], config: DiffusionConfig, conditions: Conditions, width: int
-) -> tuple[TrainingSequence, ...]:
-    """Return all recordings on disk and their variants; their frames are not read yet.
-
-    Args:
-        names: see `TrainingData.stored`.
-        config: of the run.
-        conditions: the layout of conditions.
-        width: X, of a motion vector.
-
-    Raises:
-        ConfigError: an array is missing or not whole.
-    """
-    folder, speech = ArrayFolder(config.arrays_folder), list[Frames]()
-    motion, unpaired = (folder.find_all(names[kind]) for kind in ("motion", "unpaired"))
-    if conditions.conditioner is not None:
-        arrays = folder.find_all(names["speech"])
-        lengths = [n_frames for array in motion for n_frames in array.facts["lengths"]]
-        speech += speech_frames(arrays, conditions.conditioner, lengths)
-    return sequences_of([*motion, *unpaired], speech, conditions, width, len(motion))
-
-
-def motion_of(
-    recordings: Sequence[TrainingSequence], sampled: Sequence[Cut] | None
-) -> list[np.ndarray]:
-    """Return the motion vectors (T, X) from which statistics are computed.
-
-    Args:
-        recordings: and their variants.
-        sampled: parts of them; None for all of them.
-    """
-    if sampled is None:
-        return [recording.motion[:] for recording in recordings]
+def motion_of(recordings: Sequence[TrainingSequence], sampled: Iterable[Cut]) -> list[np.ndarray]:
+    """Return the motion vectors (T, X) from which statistics are computed."""
     return [recordings[i].motion[start:stop] for i, start, stop in sampled]
 
 
@@ -223,8 +190,8 @@ class TrainingData:
         speakers: a reference skeleton for each named speaker.
         sources: the recordings with speech, or all for a model without speech input.
         recorded_fps: the most common frame rate of the recordings.
+        sampled: parts of `recordings` from which statistics are computed.
         start: weights of the network to start from, by name; empty for random ones.
-        sampled: parts of `recordings` from which statistics are computed; None for all of them.
         stored: of recordings on disk, the names of their arrays of "motion", of the "speech" of
             their phases, and of "unpaired" motion; None in memory.
         state_process: of the state of movement; None without it.
@@ -239,8 +206,8 @@ class TrainingData:
     speakers: dict[str, Skeleton]
     recorded_fps: float
     sources: tuple[TrainedSegment, ...]
+    sampled: tuple[Cut, ...]
     start: Mapping[str, Tensor] = field(default_factory=dict)
-    sampled: tuple[Cut, ...] | None = None
     stored: Mapping[str, Sequence[str]] | None = None
     state_process: StateProcess | None = None
 
@@ -309,11 +276,10 @@ class TrainingData:
         weights = None if config.features is None else config.features.encoder_places
 
         def assemble(about: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingData:
-            values = {**about, **about["conditions"]}
-            fitted = read_fitted(values, tensors, config.fps, weights, device)
+            values = {**about, **about["conditions"], "fps": config.fps}
+            fitted = read_fitted(values, tensors, weights, device)
             representation, process = fitted["representation"], fitted["state_process"]
-            stored, sampled = about["stored"], None
-            if stored is None:
+            if (stored := about["stored"]) is None:
                 recordings = tuple(
                     TrainingSequence(
                         name,
@@ -324,9 +290,9 @@ class TrainingData:
                     for i, name in enumerate(about["names"])
                 )
             else:
-                sampled = tuple((i, start, stop) for i, start, stop in about["sampled"])
-                width = representation.n_features
-                recordings = stored_sequences(stored, config, fitted["conditions"], width)
+                folder, width = ArrayFolder(config.arrays_folder), representation.n_features
+                arrays = {kind: folder.find_all(keys) for kind, keys in stored.items()}
+                recordings = sequences_of(**arrays, conditions=fitted["conditions"], width=width)
                 if process is not None:
                     recordings = tuple(with_state(r, process, representation) for r in recordings)
             paired, unpaired = about["seconds"]
@@ -339,7 +305,7 @@ class TrainingData:
                 sources=from_values(about["sources"]),
                 recorded_fps=about["recorded_fps"],
                 start=read_start(tensors),
-                sampled=sampled,
+                sampled=tuple((i, start, stop) for i, start, stop in about["sampled"]),
                 stored=stored,
             )
 

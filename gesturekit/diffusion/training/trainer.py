@@ -13,21 +13,21 @@ import torch
 from torch import Tensor, nn
 
 from gesturekit.diffusion.config import DiffusionConfig, TrainingConfig
+from gesturekit.diffusion.experts import Expert
 from gesturekit.diffusion.losses import (
-    FootVelocity,
-    StateDistance,
     change_error,
     denoising_error,
     foot_sliding,
+    foot_velocity,
+    state_distance,
 )
 from gesturekit.diffusion.model import DiffusionModel
-from gesturekit.diffusion.motion_vector import measured_state
+from gesturekit.diffusion.motion_vector import VectorPlaces, measured_state
 from gesturekit.diffusion.network import Denoiser
 from gesturekit.diffusion.noise_schedule import NoiseSchedule, sample
 from gesturekit.diffusion.training.batches import Batches, TrainingBatch
 from gesturekit.diffusion.training.data import TrainingData
-from gesturekit.diffusion.training.loading import load_training_data
-from gesturekit.diffusion.training.recordings import read_recordings
+from gesturekit.diffusion.training.loading import load_training_data, read_recordings
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
 from gesturekit.motion.motion import Motion
@@ -85,14 +85,13 @@ class Trainer(BaseTrainer):
         self.batches = Batches(data, config)
         self.normaliser = data.normaliser.to(device)
         self.changes = data.changes().to(device) if config.training.changes else None
+        self.foot_places = self.state_places = None
         feet = foot_kinematics(data.representation) if config.training.foot_sliding else None
-        self.foot_velocity = self.state_distance = None
         if feet is not None:
-            self.foot_velocity = FootVelocity(data.representation, feet, config.fps).to(device)
-        if data.state_process is not None and config.training.state:
-            self.state_distance = StateDistance(data.representation, data.state_process).to(device)
-        if self.processes.is_first:
-            self._log_missing_parts()
+            self.foot_places = VectorPlaces(data.representation, feet).to(device)
+        if config.training.state:
+            self.state_places = VectorPlaces(data.representation).to(device)
+        self._log_missing_parts()
         inputs = [name for name, c in data.conditions.columns.items() if c.stop > c.start]
         mode = f"from {' and '.join(inputs)}" if inputs else "no condition"
         self.announce(["diffusion", mode], self._contents(), config.updates)
@@ -175,12 +174,14 @@ class Trainer(BaseTrainer):
         errors = denoising_error(predicted, target)
         if self.changes is not None:
             errors = errors + training.changes * change_error(predicted, target, self.changes)
-        if self.foot_velocity is not None:
-            velocities = (self.foot_velocity(inverse(motion)) for motion in (predicted, target))
-            errors = errors + training.foot_sliding * foot_sliding(*velocities)
-        if self.state_distance is not None:
+        fps = self.config.fps
+        if (places := self.foot_places) is not None:
+            speeds = (foot_velocity(places, inverse(each), fps) for each in (predicted, target))
+            errors = errors + training.foot_sliding * foot_sliding(*speeds)
+        if (process := self.data.state_process) is not None and self.state_places is not None:
             share = self.schedule.alphas_bar.float().to(self.device)[batch.step]
-            distance = self.state_distance(inverse(predicted), inverse(target))
+            motions = inverse(predicted), inverse(target)
+            distance = state_distance(self.state_places, process, *motions)
             errors = errors + training.state * share * distance
         return (self.schedule.loss_weight(batch.step, training.min_snr) * errors).mean()
 
@@ -196,16 +197,10 @@ class Trainer(BaseTrainer):
         """
         network, schedule = self.average.eval(), self.schedule
         given = torch.from_numpy(condition)[None].to(self.device)
-        predict = network.for_condition(given, range(schedule.steps))
-        shape = (1, len(condition), network.n_motion)
-        noise = torch.randn(shape, generator=rng).to(self.device)
-        vectors = sample(
-            lambda noisy, step: schedule.noise_of(predict(noisy, step), noisy, step),
-            lambda _: noise,
-            schedule,
-            solver="dpm",
-            steps=min(STEPS, schedule.steps),
-        )
+        expert = Expert(network, schedule, given, np.ones(1))
+        noise = torch.randn((1, len(condition), network.n_motion), generator=rng).to(self.device)
+        steps = min(STEPS, schedule.steps)
+        vectors = sample(expert.predict, lambda _: noise, schedule, solver="dpm", steps=steps)
         values = self.data.normaliser.inverse(vectors[0].cpu()).double().numpy()
         return self.data.decode(values, condition, self.config.fps)
 
@@ -240,9 +235,8 @@ class Trainer(BaseTrainer):
         for k, recording in enumerate(self.data.paired[:CALIBRATING_CLIPS]):
             rng = rng_for(config.seed, "calibration", k)
             condition = recording.condition[: round(CALIBRATING_SECONDS * process.fps)].copy()
-            style = None
-            if self.data.conditions.styles:
-                style = int(condition[0, columns["styles"]].argmax())
+            styles = condition[0, columns["styles"]]
+            style = int(styles.argmax()) if len(styles) else None
             speech = condition[:, columns["speech"]].T
             wanted = process.draw(rng.initial_seed() >> 1, speech, (None, style))
             condition[:, columns["state"]] = process.given(wanted).T
@@ -260,9 +254,8 @@ class Trainer(BaseTrainer):
         """Return the model with this network and process of the state of movement."""
         training = self.config.training
         # Unpaired motion has no conditions but the state, just like windows with condition dropout.
-        unconditional = training.dropout_condition or self.data.unpaired_seconds
         droppable = {
-            "all": unconditional,
+            "all": training.dropout_condition or self.data.unpaired_seconds,
             "styles": training.dropout_style,
             "state": training.dropout_state,
         }
@@ -286,27 +279,26 @@ class Trainer(BaseTrainer):
         config, data = self.config, self.data
         share = config.unpaired.share if config.unpaired is not None else 0.0
         windows = config.updates * config.training.batch * (1 - share)
-        count = drawn(windows * config.training.window / data.seconds)
-        unpaired = data.unpaired_seconds
+        count, unpaired = windows * config.training.window / data.seconds, data.unpaired_seconds
         return {
             "Unpaired motion": f"{unpaired:.0f} s" if unpaired else "none",
             "Not used": "; ".join(self.unused),
-            "Use of the recordings": f"a second is drawn about {count}",
+            "Use of the recordings": f"a second is drawn about {drawn(count)}",
         }
 
     def _log_missing_parts(self) -> None:
         """Log in one line the features that training lacks if body parts cannot be identified."""
-        skeleton = self.data.representation.skeleton
-        follows = []
-        if self.config.augmentation.mirror and not can_be_mirrored(skeleton):
-            follows.append("no mirrored recordings")
-        if self.config.training.foot_sliding and self.foot_velocity is None:
-            follows.append("no loss on foot sliding")
-        if self.config.joints == "body":
-            follows.append("all joints are modelled")
+        training, skeleton = self.config.training, self.data.representation.skeleton
+        mirrors = self.config.augmentation.mirror
+        lacking = {
+            "no mirrored recordings": mirrors and not can_be_mirrored(skeleton),
+            "no loss on foot sliding": training.foot_sliding and self.foot_places is None,
+            "all joints are modelled": self.config.joints == "body",
+        }
+        follows = ", ".join(text for text, is_so in lacking.items() if is_so)
         missing = unidentified(skeleton)
-        if missing and follows:
-            log.info(UNIDENTIFIED, missing.capitalize(), ", ".join(follows))
+        if missing and follows and self.processes.is_first:
+            log.info(UNIDENTIFIED, missing.capitalize(), follows)
 
     def _contents(self) -> list[str]:
         """Return a description of the training data for the log."""
@@ -316,24 +308,21 @@ class Trainer(BaseTrainer):
             contents.append(f"{roughly(data.unpaired_seconds)} of unpaired motion")
         if len(data.recordings) > len(data.sources):
             contents.append(f"{counted(len(data.recordings), 'sequence')} with their variants")
-        speech = conditions.columns["speech"].stop
-        counts = {"speech feature": speech, "event": len(conditions.events)}
-        counts["style"] = len(conditions.styles)
-        return contents + [counted(count, noun) for noun, count in counts.items() if count]
+        nouns = {"speech": "speech feature", "events": "event", "styles": "style"}
+        widths = {nouns[k]: c.stop - c.start for k, c in conditions.columns.items() if k in nouns}
+        return contents + [counted(count, noun) for noun, count in widths.items() if count]
 
     def estimate(self) -> Estimate:
         """Estimate the cost of the training from a few updates.
 
         They change the networks: for a run that is not kept.
         """
-        data, conditions = self.data, self.data.conditions
+        data, conditioner = self.data, self.data.conditions.conditioner
         update = quickest(lambda: float(self._update(0)), 4)
         phases = 1 + max(sequence.phase for sequence in data.recordings)
         number = 4 * self.config.fps * phases  # bytes a second, float32
-        variants = 1 + data.recordings[-1].mirrored
-        beside_speech = conditions.width - conditions.columns["speech"].stop
-        motion = number * variants * (data.representation.n_features + beside_speech)
-        raw = 0.0
-        if conditions.conditioner is not None:
-            raw = number * (conditions.conditioner.extractor.dim + 1)
+        beside_speech = data.conditions.width - data.conditions.columns["speech"].stop
+        width = data.representation.n_features + beside_speech
+        motion = number * (1 + data.recordings[-1].mirrored) * width
+        raw = 0.0 if conditioner is None else number * (conditioner.extractor.dim + 1)
         return Estimate(self.config.updates * update, (motion + raw, motion))
