@@ -20,7 +20,7 @@ import gesturekit as gk
 from audio_features import Wave
 from gesturekit.corpus import Item, Manifest
 from gesturekit.corpus.alignment import speech_envelope
-from gesturekit.evaluation.made_motion import (
+from gesturekit.evaluation.measuring.made_motion import (
     chosen_frames,
     halved,
     held,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,14 +15,13 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
     PATCHES,
-    POOLED,
     SIMILARITY,
+    Definition,
     definitions_of,
 )
-from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, Problems, compute
-from gesturekit.evaluation.measuring.clips import Clip, load_recording
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, compute
+from gesturekit.evaluation.measuring.clips import Clip, MotionSample, evenly, load_recording
 from gesturekit.evaluation.measuring.pooled import PooledMetrics
-from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
@@ -38,7 +38,6 @@ from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
-    from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 
 INTER_SAMPLES = 20
 """Samples of one recording that are compared with each other, at most."""
@@ -65,7 +64,7 @@ class SetMeasurement:
     """
 
     metrics: dict[str, MetricResult] = field(default_factory=dict)
-    problems: Problems = field(default_factory=list)
+    problems: list[tuple[str, str]] = field(default_factory=list)
     by_clip: list[dict[str, float]] = field(default_factory=list)
     speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
     recorded_speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
@@ -73,147 +72,72 @@ class SetMeasurement:
     recorded_wrists: np.ndarray = field(default_factory=lambda: np.empty(0))
     training_excluded: list[Excluded] = field(default_factory=list)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            "metrics": {key: asdict(result) for key, result in self.metrics.items()},
-            "problems": self.problems,
-            "by_clip": self.by_clip,
-            "speeds": [speeds.to_json() for speeds in (self.speeds, self.recorded_speeds)],
-            "wrists": [speeds.tolist() for speeds in (self.wrists, self.recorded_wrists)],
-            "training_excluded": [asdict(item) for item in self.training_excluded],
-        }
 
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> SetMeasurement:
-        """Return the measurement that `to_json` described."""
-        speeds, recorded_speeds = map(SpeedHistogram.from_json, values["speeds"])
-        wrists, recorded_wrists = map(np.array, values["wrists"])
-        return cls(
-            {key: MetricResult.from_json(result) for key, result in values["metrics"].items()},
-            values["problems"],
-            values["by_clip"],
-            speeds,
-            recorded_speeds,
-            wrists,
-            recorded_wrists,
-            [Excluded(**item) for item in values["training_excluded"]],
-        )
+_Speeds = tuple[SpeedHistogram, np.ndarray]
+"""Speeds of all joints, and (T - 1,) of the wrists, m/s."""
 
 
-class SetMetrics:
-    """Accumulates the clips of one model and computes the metrics of the set but Fréchet distances.
+def set_metrics(
+    clips: Iterable[Clip],
+    measure: ClipMetrics,
+    pooled: PooledMetrics | None,
+    frechet: FrechetMetrics | None,
+) -> SetMeasurement:
+    """Compute the metrics of a set.
 
     Args:
+        clips: the clips of a model, ordered by recording.
         measure: the metrics of single clips.
-        pooled: those of all clips pooled.
+        pooled, frechet: accumulate the metrics of their groups, if these are taken.
     """
-
-    def __init__(self, measure: ClipMetrics, pooled: PooledMetrics) -> None:
-        self.measure = measure
-        self.pooled = pooled
-        self._pairs: list[Pair] = []
-        self._speeds: list[SpeedHistogram] = []
-        self._wrists: list[np.ndarray] = []
-        self._recorded: dict[Window, tuple[SpeedHistogram, np.ndarray]] = {}
-        self._poses: list[tuple[np.ndarray, np.ndarray]] = []
-        self._pose_stride = 1
-        self._joints: tuple[str, ...] = ()  # of the global CCA
-        self._inter: dict[str, tuple[Pair, float]] = {}
-        self._samples: list[np.ndarray] = []
-
-    def add(self, clip: Clip) -> None:
-        """Add a clip; clips must be ordered by recording."""
-        groups = self.measure.groups
-        same = bool(self._pairs) and self._pairs[-1].stem == clip.pair.stem
-        self._pairs.append(clip.pair)
-        if clip.pair.of not in self._recorded:
-            self._recorded[clip.pair.of] = _speeds(clip.recording, clip.joints)
-        speeds, wrists = _speeds(clip.generated, clip.joints)
-        self._speeds.append(speeds)
-        self._wrists.append(wrists)
-        if POOLED in groups:
-            self.pooled.add(clip)
-        if SIMILARITY in groups:
-            self._joints = self._joints or clip.joints
-            if clip.joints == self._joints:
-                self._add_poses(clip)
-        if PATCHES in groups:
-            self._samples = self._samples if same else []
-            self._compare_samples(clip)
-
-    def measured(self) -> SetMeasurement:
-        """Compute the metrics."""
-        speeds, wrists = zip(*self._recorded.values(), strict=True) if self._pairs else ((), ())
-        found = SetMeasurement(
-            speeds=SpeedHistogram.sum_of(self._speeds),
-            recorded_speeds=SpeedHistogram.sum_of(speeds),
-            wrists=_thinned(self._wrists),
-            recorded_wrists=_thinned(wrists),
-            training_excluded=self.pooled.training.excluded,
-        )
-        if not self._pairs:
-            return found
-        for key, make in (("hellinger", self._hellinger), ("cca_global", self._cca)):
-            try:
-                if key == "hellinger" or self._poses:
-                    found.metrics[key] = make()
-            except GestureKitError as error:
-                found.problems.append((key, str(error)))
-        if self._inter:
-            pairs, values = zip(*self._inter.values(), strict=True)
-            within = DEFINITIONS["inter_diversity"].within
-            interval = interval_of(values, Takes.of(pairs), within)
-            found.metrics["inter_diversity"] = MetricResult("inter_diversity", interval)
-        if POOLED in self.measure.groups:
-            found.metrics |= self.pooled.results()
-            found.problems += self.pooled.problems
-            found.by_clip = self.pooled.by_clip()
-        return found
-
-    def _hellinger(self) -> MetricResult:
-        recorded = [self._recorded[pair.of][0] for pair in self._pairs]
-
-        def distance(drawn: np.ndarray) -> float:
-            sides = ([side[i] for i in drawn] for side in (self._speeds, recorded))
-            return hellinger(*map(SpeedHistogram.sum_of, sides))
-
-        interval = interval_of_statistic(
-            distance, Takes.of(self._pairs), DEFINITIONS["hellinger"].within
-        )
-        total = sum(int(h.counts.sum()) + h.beyond for h in self._speeds)
-        beyond = 100.0 * sum(h.beyond for h in self._speeds) / max(total, 1)
-        return MetricResult("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
-
-    def _cca(self) -> MetricResult:
-        ours, theirs = (np.concatenate(side) for side in zip(*self._poses, strict=True))
-        r = similarity.cca(ours, theirs)
-        return MetricResult("cca_global", whole_set(r, len(self._poses)))
-
-    def _add_poses(self, clip: Clip) -> None:
-        """Keep every k-th pose of all clips; k is doubled when there are too many."""
-        # Copies: a view would keep the poses that are dropped.
-        step = self._pose_stride
-        ours, theirs = similarity.pose_pair(clip.generated, clip.recording, clip.joints)
-        self._poses.append((ours[::step].copy(), theirs[::step].copy()))
-        while sum(len(ours) for ours, _ in self._poses) > _CCA_FRAMES:
-            self._pose_stride *= 2
-            self._poses = [(one[::2].copy(), other[::2].copy()) for one, other in self._poses]
-
-    def _compare_samples(self, clip: Clip) -> None:
-        if len(self._samples) >= INTER_SAMPLES:
-            return
+    groups, pairs, speeds = measure.groups, list[Pair](), list[_Speeds]()
+    recorded: dict[Window, _Speeds] = {}
+    inter: dict[str, tuple[Pair, float]] = {}
+    features: list[np.ndarray] = []  # of the samples of one recording
+    joints, step, poses = tuple[str, ...](), 1, list[list[np.ndarray]]()  # of the global CCA
+    for clip in clips:
+        if pairs and pairs[-1].stem != clip.pair.stem:
+            features = []
+        pairs.append(clip.pair)
+        speeds.append(_speeds(clip.generated, clip.joints))
+        if clip.pair.of not in recorded:
+            recorded[clip.pair.of] = _speeds(clip.recording, clip.joints)
+        if pooled is not None:
+            pooled.add(clip)
+        if frechet is not None:
+            frechet.add(clip)
+        if SIMILARITY in groups and clip.joints == (joints := joints or clip.joints):
+            both = similarity.pose_pair(clip.generated, clip.recording, clip.joints)
+            poses.append([side[::step].copy() for side in both])  # a view would keep the rest
+            while sum(len(ours) for ours, _ in poses) > _CCA_FRAMES:
+                step, poses = 2 * step, [[side[::2].copy() for side in sides] for sides in poses]
+        if PATCHES in groups and len(features) < INTER_SAMPLES:
+            with suppress(GestureKitError):  # local diversity reports the reason
+                variant = measure.variants.patches
+                features.append(patch_features(clip.generated, variant, joints=clip.joints))
+                if len(features) > 1:
+                    inter[clip.pair.stem] = clip.pair, inter_diversity(features)
+    found = _speeds_of_set(speeds, list(recorded.values()))
+    for key, kept, metric in (
+        ("hellinger", pairs, lambda: _hellinger(pairs, [own for own, _ in speeds], recorded)),
+        ("cca_global", poses, lambda: _global_cca(poses)),
+        ("inter_diversity", inter, lambda: _inter_diversity(list(inter.values()))),
+    ):
         try:
-            variant = self.measure.variants.patches
-            self._samples.append(patch_features(clip.generated, variant, joints=clip.joints))
-            if len(self._samples) > 1:
-                self._inter[clip.pair.stem] = clip.pair, inter_diversity(self._samples)
-        except GestureKitError:
-            return  # local diversity reports the reason
+            found.metrics |= {key: metric()} if kept else {}
+        except GestureKitError as error:
+            found.problems.append((key, str(error)))
+    if pooled is not None and pairs:
+        found.metrics |= pooled.results()
+        found.problems, found.by_clip = found.problems + pooled.problems, pooled.by_clip
+        found.training_excluded = pooled.training.excluded
+    if frechet is not None and pairs:
+        found.metrics |= frechet.results()
+        found.problems = frechet.problems + found.problems
+    return found
 
 
-def _speeds(motion: Motion, joints: Sequence[str]) -> tuple[SpeedHistogram, np.ndarray]:
-    """Return the speeds of all joints, and (T - 1,) of the wrists, m/s; empty without wrists."""
+def _speeds(motion: Motion, joints: Sequence[str]) -> _Speeds:
     try:
         wrists = physical.wrist_speed(motion)
     except GestureKitError:
@@ -221,102 +145,117 @@ def _speeds(motion: Motion, joints: Sequence[str]) -> tuple[SpeedHistogram, np.n
     return SpeedHistogram.of([physical.relative_speed(motion, joints)]), wrists
 
 
-def _thinned(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Concatenate arrays (N_i,); keep every k-th value if there are more than `_WRISTS`."""
-    whole = np.concatenate(parts) if parts else np.empty(0)
-    return whole[:: max(1, -(-len(whole) // _WRISTS))]
+def _speeds_of_set(generated: Sequence[_Speeds], recorded: Sequence[_Speeds]) -> SetMeasurement:
+    """Return the speeds of all clips and recordings; of wrists every k-th, if there are many."""
+    wrists = [np.concatenate([np.empty(0), *(w for _, w in s)]) for s in (generated, recorded)]
+    return SetMeasurement(
+        speeds=SpeedHistogram.sum_of(joints for joints, _ in generated),
+        recorded_speeds=SpeedHistogram.sum_of(joints for joints, _ in recorded),
+        wrists=evenly(wrists[0], _WRISTS),
+        recorded_wrists=evenly(wrists[1], _WRISTS),
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class SetInputs:
-    """Inputs of the metrics of a set of motions.
+def _hellinger(
+    pairs: Sequence[Pair],
+    speeds: Sequence[SpeedHistogram],
+    recorded: Mapping[Window, _Speeds],
+) -> MetricResult:
+    def distance(drawn: np.ndarray) -> float:
+        ours = SpeedHistogram.sum_of(speeds[i] for i in drawn)
+        return hellinger(ours, SpeedHistogram.sum_of(recorded[pairs[i].of][0] for i in drawn))
 
-    Attributes:
-        reference: all recordings.
-        model: the feature extractor of FGD, or None.
-        joints: names of the joints that all of them have.
-        seed: of intervals.
-        kinetic: variant of the kinetic features.
-        generated: all motion of a model.
-    """
-
-    reference: Sequence[Motion]
-    model: Extractor | None
-    joints: tuple[str, ...]
-    seed: int
-    kinetic: str
-    generated: Sequence[Motion]
-
-    @property
-    def motions(self) -> Sequence[Motion]:
-        """The motion whose diversity is measured: `generated`."""
-        return self.generated
-
-    @property
-    def windows(self) -> PoseWindows | None:
-        """The windows of the feature extractor, or None."""
-        return None if self.model is None else self.model.windows
+    interval = interval_of_statistic(distance, Takes.of(pairs), DEFINITIONS["hellinger"].within)
+    whole = SpeedHistogram.sum_of(speeds)
+    beyond = 100.0 * whole.beyond / max(int(whole.counts.sum()) + whole.beyond, 1)
+    return MetricResult("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
 
 
-def frechet_metrics(
-    clips: Iterable[Clip],
-    sources: Mapping[str, Path | ItemInterval],
-    model: Extractor | None,
-    *,
-    fps: float,
-    kinetic: str,
-    seed: int,
-) -> SetMeasurement:
-    """Compute Fréchet distances of clips to the full set of recordings, and their diversity.
+def _global_cca(poses: Sequence[Sequence[np.ndarray]]) -> MetricResult:
+    r = similarity.cca(*map(np.concatenate, zip(*poses, strict=True)))
+    return MetricResult("cca_global", whole_set(r, len(poses)))
+
+
+def _inter_diversity(of_recordings: Sequence[tuple[Pair, float]]) -> MetricResult:
+    pairs, values = zip(*of_recordings, strict=True)
+    interval = interval_of(values, Takes.of(pairs), DEFINITIONS["inter_diversity"].within)
+    return MetricResult("inter_diversity", interval)
+
+
+class FrechetMetrics:
+    """Accumulates clips and computes their Fréchet distances to all recordings, and diversity.
 
     Windows and kinetic features use the body joints that all clips share with the recordings;
     geometric features and those of `model` need their own joints. Where clips are not of all
     recordings, or of windows of them, the distance of these to the full set is the lower bound.
 
     Args:
-        clips: the clips of a model.
         sources: all recordings by key.
-        model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
         fps: frame rate of the evaluation.
+        model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
         kinetic: variant of the kinetic features.
         seed: of intervals and subsamples.
+
+    Attributes:
+        problems: (key, reason) of metrics that could not be computed.
     """
-    generated, recorded = MotionSample(seed), MotionSample(seed)
-    windows, pairs, joints = set[Window](), list[Pair](), None
-    for clip in clips:
-        pairs.append(clip.pair)
-        generated.add(clip.generated)
-        known = clip.joints if joints is None else joints
-        joints = tuple(name for name in known if name in clip.joints)
-        if clip.pair.of not in windows:
-            windows.add(clip.pair.of)
-            recorded.add(clip.recording)
-    found = SetMeasurement()
-    if joints is None:
+
+    def __init__(
+        self,
+        sources: Mapping[str, Path | ItemInterval],
+        fps: float,
+        model: Extractor | None,
+        kinetic: str,
+        seed: int,
+    ) -> None:
+        self.problems: list[tuple[str, str]] = []
+        self._sources, self._fps = sources, fps
+        self._generated, self._recorded = MotionSample(seed), MotionSample(seed)
+        self._pairs: list[Pair] = []
+        self._windows: set[Window] = set()
+        windows = model and model.windows
+        self._inputs = SimpleNamespace(model=model, windows=windows, kinetic=kinetic, seed=seed)
+
+    def add(self, clip: Clip) -> None:
+        """Add a clip and its recording."""
+        known = self._inputs.joints if self._pairs else clip.joints
+        self._inputs.joints = tuple(name for name in known if name in clip.joints)
+        self._pairs.append(clip.pair)
+        self._generated.add(clip.generated)
+        if clip.pair.of not in self._windows:
+            self._windows.add(clip.pair.of)
+            self._recorded.add(clip.recording)
+
+    def results(self) -> dict[str, MetricResult]:
+        """Compute the metrics; those that fail are listed in `problems`."""
+        full, generated, found = self._recorded, self._generated, dict[str, MetricResult]()
+        if self._windows != {(key, None) for key in self._sources}:
+            full = MotionSample(self._inputs.seed)
+            for source in self._sources.values():
+                full.add(load_recording(source, self._fps))
+        self._inputs.reference = full.motions
+        takes = Takes.of([self._pairs[owner] for owner in generated.owners]).count
+        apart = takes >= INDEPENDENT * len(generated.owners)
+        for definition in definitions_of("distance", "diversity"):
+            key, is_distance = definition.key, definition.of == "distance"
+            try:
+                ours = self._computed(definition, generated)
+                if ours is None:  # it needs a feature extractor
+                    continue
+                own = None
+                if full is not self._recorded or not is_distance:
+                    own = self._computed(definition, self._recorded)
+                if is_distance:
+                    found[key] = _distance(key, ours, own, apart)
+                else:
+                    found[key] = MetricResult(key, whole_set(ours, generated.count), own)
+            except GestureKitError as error:
+                self.problems.append((key, str(error)))
         return found
-    full = recorded
-    if windows != {(key, None) for key in sources}:
-        full = MotionSample(seed)
-        for source in sources.values():
-            full.add(load_recording(source, fps))
-    inputs = partial(SetInputs, full.motions, model, joints, seed, kinetic)
-    takes = Takes.of([pairs[owner] for owner in generated.owners]).count
-    apart = takes >= INDEPENDENT * len(generated.owners)
-    for definition in definitions_of("distance", "diversity"):
-        try:
-            ours = compute(definition, inputs(generated.motions))
-            if ours is None:  # it needs a feature extractor
-                continue
-            if definition.of == "distance":
-                top = None if full is recorded else compute(definition, inputs(recorded.motions))
-                result = _distance(definition.key, ours, top, apart)
-            else:
-                own = compute(definition, inputs(recorded.motions))
-                result = MetricResult(definition.key, whole_set(ours, generated.count), own)
-            found.metrics[definition.key] = result
-        except GestureKitError as error:
-            found.problems.append((definition.key, str(error)))
-    return found
+
+    def _computed(self, definition: Definition, sample: MotionSample) -> Any | None:
+        motions = SimpleNamespace(generated=sample.motions, motions=sample.motions)
+        return compute(definition, motions, self._inputs)
 
 
 def _distance(
