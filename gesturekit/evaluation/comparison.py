@@ -46,9 +46,11 @@ from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,
     Items,
+    Pair,
     Pairs,
     Window,
     find_pairs,
+    grouped,
     recordings,
 )
 from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
@@ -184,12 +186,10 @@ def evaluate(
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
     reference, split = _recordings(reference, chosen)
-    names = list(recordings(reference, all_splits=True))
-    takes = takes_of(names, chosen.take_pattern, chosen.take_table)
-    pairs = _pairs(folders, reference, chosen, takes)
+    pairs, itself = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(pairs.values())))
     pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
-    measurer = _measurer(pairs, reference, fps, takes, chosen)
+    measurer = _measurer(pairs, reference, fps, itself, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
     models = [
         _model_result(label, folders.get(label, Path(label)), some, measured[label], measurer)
@@ -222,37 +222,37 @@ def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str
 
 
 def _pairs(
-    folders: Mapping[str, Path],
-    reference: Path | Items,
-    options: EvaluationOptions,
-    takes: Mapping[str, str],
-) -> dict[str, Pairs]:
-    """Return {label: clips of the recordings that all models have}."""
+    folders: Mapping[str, Path], reference: Path | Items, options: EvaluationOptions
+) -> tuple[dict[str, Pairs], dict[str, Pair]]:
+    """Return {label: clips of the recordings that all models have}, and each recording with itself.
+
+    The latter are of all splits; both have the takes that the options give.
+    """
+    sources = recordings(reference, all_splits=True)
+    takes = takes_of(list(sources), options.take_pattern, options.take_table)
+    itself = {k: Pair(k, k, None, s, s, take=takes.get(k, "")) for k, s in sources.items()}
     audio, semantic = (p if p is None else Path(p) for p in (options.audio, options.semantic))
     found = {
         label: find_pairs(folder, reference, audio=audio, semantic=semantic)
         for label, folder in folders.items()
     }
     _keep_common_recordings(found)
-    for pairs in found.values():
-        pairs.pairs = [
-            replace(pair, take=takes.get(pair.stem) or pair.take) for pair in pairs.pairs
-        ]
+    for some in found.values():
+        some.pairs = [replace(pair, take=itself[pair.stem].take) for pair in some.pairs]
     first = next(iter(found.values()))
     if takes:
         first.notes += merged_speakers((p.stem, p.speaker, p.take) for p in first.pairs)
     else:
-        own = {p.stem: p.reference for p in first.pairs if p.take == p.stem}
-        read = {name: partial(read_motion, source) for name, source in own.items()}
-        first.notes += pieces_of_takes(read)
-    return found
+        own = {p.stem: partial(read_motion, p.reference) for p in first.pairs if p.take == p.stem}
+        first.notes += pieces_of_takes(own)
+    return found, itself
 
 
 def _measurer(
     pairs: Mapping[str, Pairs],
     reference: Path | Items,
     fps: float,
-    takes: Mapping[str, str],
+    itself: Mapping[str, Pair],
     options: EvaluationOptions,
 ) -> Measurer:
     """Return all that is to be measured."""
@@ -262,14 +262,13 @@ def _measurer(
     return Measurer(
         measure=ClipMetrics(statistics, options.groups, options.variants, options.cheap),
         pairs={label: some.pairs for label, some in pairs.items()},
-        recordings={key: compared[key] for key in statistics.recordings},
-        reference=reference,
+        itself=itself,
+        training=reference.training if isinstance(reference, Items) else (),
         fps=fps,
         length=MULTIRES_LENGTH if options.protocol == "multires" else 1.0,
         features=options.features,
         seed=options.seed,
         without=_joints_to_leave_out(pairs, fps),
-        takes=takes,
     )
 
 
@@ -327,11 +326,11 @@ def _model_result(
     likeness, whole = measurer.likeness(label, clips), measured[1]
     for clip, values in zip(clips, whole.by_clip):
         clip.metrics |= values
-    problems: dict[tuple[str, str], list[str]] = {}
-    named = [(clip.pair.name, clip.problems) for clip in clips]
-    for name, some in (*named, ("the whole set", whole.problems)):
-        for key, reason in some:
-            problems.setdefault((key, reason), []).append(name)
+    named = [
+        *((clip.pair.name, clip.problems) for clip in clips),
+        ("the whole set", whole.problems),
+    ]
+    problems = grouped(((key, why), name) for name, several in named for key, why in several)
     for (key, reason), names in problems.items():
         title = DEFINITIONS[key].name if key in DEFINITIONS else key
         excluded.append(Excluded(listed(names, 3), reason, title))
@@ -350,37 +349,29 @@ def _model_result(
 
 def _by_recording(clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
     """Average the patch metrics over the samples of each recording (eq. 18)."""
-    samples: dict[str, list[Mapping[str, float]]] = {}
-    for clip in clips:
-        samples.setdefault(clip.pair.stem, []).append(clip.metrics)
-    patches = [definition for definition in DEFINITIONS.values() if definition.group == PATCHES]
-    return {
-        stem: {
-            d.key: interval_over_samples([m[d.key] for m in metrics if d.key in m], d.within)
-            for d in patches
-            if any(d.key in m for m in metrics)
-        }
-        for stem, metrics in sorted(samples.items())
-    }
+    found: dict[str, dict[str, Interval]] = {}
+    for stem, metrics in sorted(grouped((clip.pair.stem, clip.metrics) for clip in clips).items()):
+        known = grouped((key, value) for values in metrics for key, value in values.items())
+        patches = [d for d in DEFINITIONS.values() if d.group == PATCHES and d.key in known]
+        found[stem] = {d.key: interval_over_samples(known[d.key], d.within) for d in patches}
+    return found
 
 
 def _protocol_notes(result: ModelResult, protocol: str) -> list[str]:
     """Return notes on clips that differ from the protocol in number or length."""
-    counts = Counter(clip.pair.of for clip in result.clips)
-    wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(protocol)
-    other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
-    notes = []
-    if wanted and other:
-        what = "window" if protocol == "lda" else "recording"
+    if not protocol:
+        return []
+    counts, notes = Counter(clip.pair.of for clip in result.clips), []
+    is_lda = protocol == "lda"
+    wanted, what = (LDA_SAMPLES, "window") if is_lda else (MULTIRES_SAMPLES, "recording")
+    if other := [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]:
         notes.append(f"the protocol takes {wanted} samples of each {what}; {listed(other, 3)}")
-    if protocol == "lda":
-        odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
-        if odd:
-            notes.append(
-                f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of "
-                f"{len(result.clips)} are of another length and are cut into such clips for "
-                "Fréchet distances"
-            )
+    odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
+    if is_lda and odd:
+        notes.append(
+            f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of {len(result.clips)} "
+            "are of another length and are cut into such clips for Fréchet distances"
+        )
     return notes
 
 
@@ -402,17 +393,15 @@ def _keep_common_recordings(found: Mapping[str, Pairs]) -> None:
         )
     for label, pairs in found.items():
         apart = [pair for pair in pairs.pairs if pair.of not in common]
-        if not apart:
-            continue
         pairs.pairs = [pair for pair in pairs.pairs if pair.of in common]
         for pair in apart:
             lack = [key for key, seen in windows.items() if pair.of not in seen]
             reason = f"set apart: {listed(lack, 3)} has no clip of this recording"
             pairs.excluded.append(Excluded(pair.name, reason))
-        pairs.notes.append(
-            f"all models are compared on the {counted(len(common), 'recording')} that they share; "
-            f"{counted(len(apart), 'clip')} of {label} set apart"
-        )
+        if apart:
+            shared = f"the {counted(len(common), 'recording')} that they share"
+            lost = f"{counted(len(apart), 'clip')} of {label} set apart"
+            pairs.notes.append(f"all models are compared on {shared}; {lost}")
 
 
 def _joints_to_leave_out(found: Mapping[str, Pairs], fps: float) -> frozenset[str]:
@@ -430,10 +419,8 @@ def _joints_to_leave_out(found: Mapping[str, Pairs], fps: float) -> frozenset[st
             lost = [n for n in body_joints(clip.recording.skeleton) if n not in clip.joints]
             without |= {without_namespace(name) for name in lost}
             if lost and len(found) > 1:
-                pairs.notes.append(
-                    f"{label} lacks {listed(lost, 5)} of the recordings' rig: all models are "
-                    "measured without"
-                )
+                lacks = f"{label} lacks {listed(lost, 5)} of the recordings' rig"
+                pairs.notes.append(f"{lacks}: all models are measured without")
             break
     return frozenset(without)
 
@@ -466,9 +453,7 @@ def _mark_unlike(models: Sequence[ModelResult]) -> None:
 
 def _lengths(model: ModelResult) -> dict[Window, float]:
     """Return the mean length of a model's clips of each recording, seconds."""
-    every: dict[Window, list[float]] = {}
-    for clip in model.clips:
-        every.setdefault(clip.pair.of, []).append(clip.seconds)
+    every = grouped((clip.pair.of, clip.seconds) for clip in model.clips)
     return {window: float(np.mean(seconds)) for window, seconds in every.items()}
 
 

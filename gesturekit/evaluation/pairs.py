@@ -36,6 +36,7 @@ _SAMPLE = re.compile(r"_s\d+$")
 _CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
 Source = TypeVar("Source")
+_Key = TypeVar("_Key")
 Window = tuple[str, int | None]
 """A recording and the index of its 10 s window; None for the whole recording."""
 
@@ -381,12 +382,17 @@ def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, 
     return dict(sorted(found.items()))
 
 
+def grouped(pairs: Iterable[tuple[_Key, Source]]) -> dict[_Key, list[Source]]:
+    """Return {key: its values, in order} of (key, value)."""
+    groups: dict[_Key, list[Source]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
+
+
 def _by_stem(keys: Iterable[str]) -> dict[str, list[str]]:
     """Return {last part of a key: the keys that end in it}."""
-    found: dict[str, list[str]] = defaultdict(list)
-    for key in keys:
-        found[key.rpartition("/")[2]].append(key)
-    return found
+    return grouped((key.rpartition("/")[2], key) for key in keys)
 
 
 def _recording_of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,7 @@ import numpy as np
 
 from audio_features.archive import read_bytes
 from audio_features.atomic import write_text
+from audio_features.kinds import installed_versions
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
@@ -364,13 +364,8 @@ class ModelResult:
 
 def library_versions() -> dict[str, str]:
     """Return {library: version} of the libraries that the metrics depend on."""
-    versions = {}
-    for name in ("gesturekit", "numpy", "scipy", "scikit-learn", "librosa"):
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed as a package"
-    return versions
+    names = ("gesturekit", "numpy", "scipy", "scikit-learn", "librosa")
+    return dict.fromkeys(names, "not installed as a package") | installed_versions(names)
 
 
 @dataclass

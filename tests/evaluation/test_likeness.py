@@ -15,7 +15,8 @@ from gesturekit.corpus import Item, Manifest
 from gesturekit.evaluation import Clip, ClipMetrics, Pair, Variants, evaluate, motion_windows
 from gesturekit.evaluation.definitions import MOVEMENT, POOLED
 from gesturekit.evaluation.measuring.clip_metrics import ReferenceStatistics
-from gesturekit.evaluation.measuring.made_motion import chosen_frames, halved, held, turned
+from gesturekit.evaluation.measuring.clips import chosen_frames
+from gesturekit.evaluation.measuring.made_motion import halved, held, turned
 from gesturekit.evaluation.results import OTHER_SPEAKER, MetricResult
 from gesturekit.evaluation.statistics.levels import MEAN_POSE
 from gesturekit.evaluation.statistics.likeness import Relative, credits, relative

@@ -36,7 +36,7 @@ from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.mouth import mouth_opening
 from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
 from gesturekit.evaluation.metrics.sync import hardly_moves
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair
+from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, grouped
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import body_joints
@@ -240,14 +240,12 @@ class ClipMetrics:
 
     def mismatched_sound(self, clip: Clip, sounds: Sequence[RecordedSound]) -> dict[str, float]:
         """Average the speech metrics of the generated motion over other recordings' sounds."""
-        every: dict[str, list[float]] = {}
-        inputs = self._inputs(clip, clip.generated)
+        inputs, every = self._inputs(clip, clip.generated), list[tuple[str, float]]()
         for sound in sounds:
             found = Values()
             self._speech(found, inputs, sound)
-            for key, value in found.values.items():
-                every.setdefault(key, []).append(value)
-        return {key: float(np.mean(values)) for key, values in every.items()}
+            every += found.values.items()
+        return {key: float(np.mean(values)) for key, values in grouped(every).items()}
 
     def mismatched_motion(self, clip: Clip, other: Motion) -> dict[str, float]:
         """Compute the metrics that are also taken with another recording (CCA)."""
@@ -324,13 +322,13 @@ def quick_metrics(generated: Sequence[Motion], recordings: Sequence[Motion]) -> 
         recordings: the same number of motions, of the same rig and frame rate.
     """
     measure = ClipMetrics(ReferenceStatistics(), (MOVEMENT,), Variants(), cheap=True)
-    every: dict[str, list[float]] = {}
+    every: list[tuple[str, float]] = []
     for motion, recording in zip(generated, recordings, strict=True):
         clip = nameless_clip(motion, recording)
         own = measure.recording(clip)
         for key, value in measure.generated(clip).values.items():
             if DEFINITIONS[key].better != "reference":
-                every.setdefault(key, []).append(value)
+                every.append((key, value))
             elif own.get(key):
-                every.setdefault(f"{key}_ratio", []).append(value / own[key])
-    return {key: float(np.mean(values)) for key, values in every.items()}
+                every.append((f"{key}_ratio", value / own[key]))
+    return {key: float(np.mean(values)) for key, values in grouped(every).items()}

@@ -14,13 +14,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from audio_features import FeatureTrack, Wave
+from gesturekit.corpus.item import Item
 from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import FPS
 from gesturekit.evaluation.metrics.mouth import with_mouth_alone
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, ItemInterval, Items, Pair
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, ItemInterval, Pair
 from gesturekit.formats.tables import load_semantics
 from gesturekit.motion import Motion
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
@@ -28,7 +29,7 @@ from gesturekit.motion.parts import body_joints, find_legs, is_upper_body, leg_j
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.skeleton import Skeleton, forward_kinematics
+from gesturekit.motion.skeleton import forward_kinematics
 
 LENGTH_TOLERANCE = 0.1
 """Largest difference in length between a clip and its recording without a note, seconds."""
@@ -93,11 +94,6 @@ class Clip:
     semantic: FeatureTrack | None
     notes: tuple[str, ...]
 
-    @property
-    def n_frames(self) -> int:
-        """Number of common frames."""
-        return min(self.generated.n_frames, self.recording.n_frames)
-
     @functools.cached_property
     def same_body(self) -> bool:
         """True if the bone lengths of both bodies agree to 1 %."""
@@ -130,17 +126,20 @@ def load_clip(pair: Pair, fps: float, without: frozenset[str] = frozenset()) -> 
     semantic = None
     if (path := pair.semantic) is not None:
         semantic = _cached(path, lambda: read_semantic(path), lambda track: track.values.nbytes)
-    if pair.window is not None:
-        start = pair.window * WINDOW_SECONDS
-        recording = _window(recording, start, pair)
-        semantic = None if semantic is None else _later(semantic, start)
     try:
+        if pair.window is not None:
+            start = pair.window * WINDOW_SECONDS
+            first, n_frames = (round(time * recording.fps) for time in (start, WINDOW_SECONDS))
+            if recording.n_frames - first < 2:
+                raise MotionError(f"it ends before its window {pair.window} ({start:g} s) begins")
+            recording = recording[first : first + n_frames]
+            semantic = None if semantic is None else _later(semantic, start)
         joints, generated, remarks = matched(generated, recording)
+        joints = tuple(name for name in joints if without_namespace(name) not in without)
+        if len(joints) < 2:
+            raise MotionError("fewer than 2 joints are common to all models")
     except MotionError as error:
         raise MotionError(f"{pair.generated}: {pair.reference.name}: {error}") from None
-    joints = tuple(name for name in joints if without_namespace(name) not in without)
-    if len(joints) < 2:
-        raise MotionError(f"{pair.generated}: fewer than 2 joints are common to all models")
     return Clip(pair, generated, recording, joints, semantic, (*notes, *remarks))
 
 
@@ -227,16 +226,14 @@ def _same_bones(motion: Motion, recording: Motion, joints: tuple[str, ...]) -> b
         above = next((a for a in other.ancestors(j) if a in known), None)
         if above is not None and other.names[j] not in moving:
             pairs.append((other.names[above], other.names[j]))
-    own, wanted = _distances(one, pairs), _distances(other, pairs)
-    rounding = _SHORTEST * body_scale(other)
-    return bool(np.allclose(own, wanted, rtol=SAME_BONES, atol=rounding))
-
-
-def _distances(rig: Skeleton, pairs: list[tuple[str, str]]) -> np.ndarray:
-    rest = np.broadcast_to(IDENTITY, (rig.n_joints, 4))
-    places = forward_kinematics(rest, np.zeros(3), rig)
-    ends = np.array([[rig.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2)
-    return np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=-1)
+    lengths = []
+    for rig in (one, other):
+        rest = np.broadcast_to(IDENTITY, (rig.n_joints, 4))
+        places = forward_kinematics(rest, np.zeros(3), rig)
+        ends = np.array([[rig.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2)
+        lengths.append(np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=-1))
+    own, wanted = lengths
+    return bool(np.allclose(own, wanted, rtol=SAME_BONES, atol=_SHORTEST * body_scale(other)))
 
 
 def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
@@ -281,17 +278,6 @@ def load_wave(source: Path | ItemInterval) -> Wave:
         AudioError: it cannot be read.
     """
     return source.item.load_wave() if isinstance(source, ItemInterval) else Wave.load(source)
-
-
-def _window(recording: Motion, start: float, pair: Pair) -> Motion:
-    first = round(start * recording.fps)
-    stop = min(recording.n_frames, first + round(WINDOW_SECONDS * recording.fps))
-    if stop - first < 2:
-        raise MotionError(
-            f"{pair.generated}: {pair.reference.name} ends before its window {pair.window} "
-            f"({start:g} s) begins"
-        )
-    return recording[first:stop]
 
 
 def _later(track: FeatureTrack, start: float) -> FeatureTrack:
@@ -467,12 +453,16 @@ def copied(motion: Motion, start_frame: int, stop_frame: int) -> Motion:
     Raises:
         MotionError: the range is empty.
     """
-    part = motion[start_frame:stop_frame]
+    return chosen_frames(motion, np.arange(start_frame, min(stop_frame, motion.n_frames)))
+
+
+def chosen_frames(motion: Motion, frames: np.ndarray) -> Motion:
+    """Return chosen frames (T,) of a motion, in that order, at its frame rate."""
     return replace(
-        part,
-        rotations=part.rotations.copy(),
-        translation=part.translation.copy(),
-        joint_translations={name: v.copy() for name, v in part.joint_translations.items()},
+        motion,
+        rotations=motion.rotations[frames],
+        translation=motion.translation[frames],
+        joint_translations={name: v[frames] for name, v in motion.joint_translations.items()},
         face=None,
     )
 
@@ -498,10 +488,9 @@ class TrainingMotion:
     excluded: list[Excluded] = field(default_factory=list)
 
     @classmethod
-    def of(cls, reference: Path | Items, seed: int) -> TrainingMotion:
-        """Read the training split that belongs to recordings; nothing unless they are `Items`."""
-        found = cls()
-        items = list(reference.training) if isinstance(reference, Items) else []
+    def of(cls, training: Sequence[Item], seed: int) -> TrainingMotion:
+        """Read the items of the training split."""
+        found, items = cls(), list(training)
         total = sum(item.duration for item in items)
         if total > TRAINING_SECONDS:
             np.random.default_rng(seed).shuffle(items)

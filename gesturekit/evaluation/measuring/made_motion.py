@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gesturekit.errors import EvaluationError, MotionError
-from gesturekit.evaluation.measuring.clips import MotionSample, load_recording
+from gesturekit.evaluation.measuring.clips import MotionSample, chosen_frames, load_recording
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     BareItem,
@@ -65,17 +65,6 @@ def mean_pose(motions: Sequence[Motion]) -> Motion:
 def held(pose: Motion, n_frames: int) -> Motion:
     """Return a motion of `n_frames` that repeats the first frame of a pose."""
     return chosen_frames(pose, np.zeros(n_frames, int))
-
-
-def chosen_frames(motion: Motion, frames: np.ndarray) -> Motion:
-    """Return chosen frames (T,) of a motion, in that order, at its frame rate."""
-    return replace(
-        motion,
-        rotations=motion.rotations[frames],
-        translation=motion.translation[frames],
-        joint_translations={name: v[frames] for name, v in motion.joint_translations.items()},
-        face=None,
-    )
 
 
 def turned(motion: Motion, vectors: np.ndarray) -> Motion:
@@ -151,18 +140,14 @@ def baseline_pairs(
     training = reference.training if isinstance(reference, Items) else ()
     source = {item.id: ItemInterval(item) for item in training} or every
     windows = {pair.of: pair for pair in next(iter(models.values())).pairs}
-    made = {}
+    made: dict[str, Pairs] = {}
     for name in (name for name in names if name in BASELINES):
-        make = BASELINES[name](every, source, fps)
-        made[name] = Pairs([_pair(pair, fps, make) for pair in windows.values()])
+        make, made[name] = BASELINES[name](every, source, fps), Pairs()
+        for pair in windows.values():
+            clip = pair.stem if pair.window is None else f"{pair.stem}_w{pair.window:03d}"
+            motion = ItemInterval(BareItem(id=clip, make=partial(_made, pair, fps, make)))
+            made[name].pairs.append(replace(pair, name=clip, generated=motion))
     return made
-
-
-def _pair(pair: Pair, fps: float, make: MakeMotion) -> Pair:
-    """Return the pair with the baseline's motion instead of the model's."""
-    name = pair.stem if pair.window is None else f"{pair.stem}_w{pair.window:03d}"
-    item = BareItem(id=name, make=partial(_made, pair, fps, make))
-    return replace(pair, name=name, generated=ItemInterval(item))
 
 
 def _made(pair: Pair, fps: float, make: MakeMotion) -> Motion:

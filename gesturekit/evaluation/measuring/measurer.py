@@ -14,6 +14,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -24,12 +25,11 @@ import audio_features
 from audio_features import AudioFeaturesError
 from audio_features.cache import DiskCache, default_folder, size_limit
 from audio_features.kinds import digest_of_sources, installed_versions
-from gesturekit.corpus.item import file_fingerprint
+from gesturekit.corpus.item import Item, file_fingerprint
 from gesturekit.errors import GestureKitError
-from gesturekit.evaluation.definitions import FRECHET, POOLED, SPEECH
+from gesturekit.evaluation.definitions import POOLED, SPEECH
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import (
-    Clip,
     RecordedSound,
     TrainingMotion,
     clip_notes,
@@ -37,10 +37,9 @@ from gesturekit.evaluation.measuring.clips import (
     load_recording,
     load_sound,
 )
-from gesturekit.evaluation.measuring.pooled import PooledMetrics
-from gesturekit.evaluation.measuring.set_metrics import FrechetMetrics, SetMeasurement, set_metrics
+from gesturekit.evaluation.measuring.set_metrics import SetMeasurement, SetMetrics
 from gesturekit.evaluation.measuring.speaker import LikenessMeasurer, ceilings
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Items, Pair, Window, recordings
+from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window, grouped
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, restored
 from gesturekit.evaluation.statistics.levels import OTHER_SOUND
 from gesturekit.workers import Failure, in_processes
@@ -79,29 +78,26 @@ class Measurer:
     Attributes:
         measure: the metrics of single clips; its statistics need no motion.
         pairs: clips of each model by label, in order.
-        recordings: sources of the recordings that can be read, by key.
-        reference: the recordings as given, which may have training motion.
+        itself: pairs of each recording of all splits with itself, by key.
+        training: items of the training split, where another one is measured.
         fps: frame rate of all metrics.
         length: expected length of a clip relative to its recording.
         features: the extractor of FGD, or None.
         seed: seed of intervals and subsamples.
         without: bare names of joints that some model lacks, which no model is measured with.
-        takes: takes of recordings by name; others have those of `Pair`.
     """
 
     measure: ClipMetrics
     pairs: Mapping[str, Sequence[Pair]]
-    recordings: Mapping[str, Path | ItemInterval]
-    reference: Path | Items
+    itself: Mapping[str, Pair]
+    training: Sequence[Item]
     fps: float
     length: float
     features: Extractor | None
     seed: int
-    without: frozenset[str] = frozenset()
-    takes: Mapping[str, str] = field(default_factory=dict)
+    without: frozenset[str]
     _recorded: dict[Hashable, dict[str, float]] = field(default_factory=dict, init=False)
     _of_recordings: dict[Hashable, Any] = field(default_factory=dict, init=False)
-    _contents: dict[Path | ItemInterval, str | None] = field(default_factory=dict, init=False)
 
     def __call__(self, portion: Sequence[Target]) -> list[Measurement]:
         """Return the measurements of a portion, which are stored as well.
@@ -162,22 +158,20 @@ class Measurer:
         )
 
     def _set(self, label: str) -> SetMeasurement:
-        pooled = frechet = None
+        training = TrainingMotion()
         if POOLED in self.measure.groups:
-            training = TrainingMotion.of(self.reference, self.seed)
-            pooled = PooledMetrics(training, self.seed, self._of_recordings)
-        if FRECHET in self.measure.groups:
-            kinetic = self.measure.variants.kinetic
-            frechet = FrechetMetrics(self.recordings, self.fps, self.features, kinetic, self.seed)
-        return set_metrics(self._clips(label), self.measure, pooled, frechet)
-
-    def _clips(self, label: str) -> Iterator[Clip]:
+            training = TrainingMotion.of(self.training, self.seed)
+        known, settings = self._of_recordings, (self.fps, self.features, self.seed)
+        metrics = SetMetrics(self.measure, self.recordings, training, *settings, known)
         for pair in self.pairs[label]:
-            try:
-                clip = load_clip(pair, self.fps, self.without)
-            except (GestureKitError, AudioFeaturesError):
-                continue  # reported by `_clip`
-            yield clip
+            with suppress(GestureKitError, AudioFeaturesError):  # reported by `_clip`
+                metrics.add(load_clip(pair, self.fps, self.without))
+        return metrics.measured()
+
+    @functools.cached_property
+    def recordings(self) -> dict[str, Path | ItemInterval]:
+        """Sources of the recordings that are compared with and can be read, by key."""
+        return {key: self.itself[key].reference for key in self.measure.statistics.recordings}
 
     def _other_motions(self, pair: Pair) -> list[str]:
         return _after(list(self.recordings), pair.stem, 1)
@@ -208,9 +202,9 @@ class Measurer:
     @functools.cached_property
     def ceilings(self) -> dict[str, tuple[Interval, str]]:
         """The recordings' own values (`measuring.speaker`), stored or computed here."""
-        own = {name: self._with_itself(name, source) for name, source in self.recordings.items()}
-        every = list(own.values())
-        key = self._key_of(["ceilings", list(own), _nesting(every)], self.recordings.values())
+        own = {key: self.itself[key] for key in self.recordings}
+        what = ["ceilings", list(own), _nesting(list(own.values()))]
+        key = self._key_of(what, self.recordings.values())
         kind = dict[str, tuple[Interval, str]]
         return self._once(key, kind, lambda: ceilings(own, self.fps, self.measure))
 
@@ -218,8 +212,7 @@ class Measurer:
         """Return the likeness of a model (`measuring.speaker`), stored or computed here."""
         if POOLED not in self.measure.groups:
             return None
-        every = self._likeness.recordings
-        of_set = self._key((label, None))
+        every, of_set = list(self.itself.values()), self._key((label, None))
         what = ["likeness", of_set, _nesting(every)]
         key = of_set and self._key_of(what, [pair.reference for pair in every])
         kind = list[MetricResult]
@@ -228,13 +221,8 @@ class Measurer:
 
     @functools.cached_property
     def _likeness(self) -> LikenessMeasurer:
-        sources = recordings(self.reference, all_splits=True)
-        every = [self._with_itself(name, source) for name, source in sources.items()]
+        every = list(self.itself.values())
         return LikenessMeasurer(self.measure, every, self.fps, self.without, self.seed)
-
-    def _with_itself(self, name: str, source: Path | ItemInterval) -> Pair:
-        """Return the pair of a recording with itself."""
-        return Pair(name, name, None, source, source, take=self.takes.get(name, ""))
 
     def _once(self, key: str | None, kind: type[_T], compute: Callable[[], _T]) -> _T:
         """Return what was computed of recordings before, or compute and store it."""
@@ -256,8 +244,7 @@ class Measurer:
             return self._key_of([[w for _, w in sounds], pair.window], [*_files(pair), *others])
         pairs, order = self.pairs[label], dict[Window, int]()
         files = [source for pair in pairs for source in _files(pair)]
-        if isinstance(self.reference, Items):
-            files += [ItemInterval(item) for item in self.reference.training]
+        files += [ItemInterval(item) for item in self.training]
         windows = [(order.setdefault(pair.of, len(order)), pair.window) for pair in pairs]
         features = self.features and self.features.fingerprint
         what = ["set", windows, _nesting(pairs), features, self.seed]
@@ -265,7 +252,7 @@ class Measurer:
 
     def _key_of(self, what: list[Any], files: Iterable[Path | ItemInterval | None]) -> str | None:
         """Return a digest of files, settings and code; None if a file has no content."""
-        contents = ["" if file is None else self._content(file) for file in files]
+        contents = ["" if file is None else _content(file) for file in files]
         return None if None in contents else _digest_of([self._settings, what, contents])
 
     @functools.cached_property
@@ -280,26 +267,6 @@ class Measurer:
             [measure.statistics.mean_speed, measure.statistics.limits, sorted(self.without)],
         ])  # fmt: skip
 
-    def _content(self, source: Path | ItemInterval) -> str | None:
-        """Return a digest of the files of a clip or recording, and of how they are read.
-
-        None for motion that is made in memory, and for files that cannot be read.
-        """
-        if source not in self._contents:
-            try:
-                if isinstance(source, Path):
-                    self._contents[source] = file_fingerprint(source)
-                else:
-                    item = source.item
-                    values = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
-                    how = [value for name, value in values.items() if name not in _DESCRIPTIVE]
-                    files = [path and file_fingerprint(path) for path in (item.motion, item.audio)]
-                    made = any(map(callable, how))
-                    self._contents[source] = None if made else _digest_of([files, how])
-            except OSError:
-                self._contents[source] = None
-        return self._contents[source]
-
     @functools.cached_property
     def _disk(self) -> DiskCache:
         """Store of the measurements, in the folder of the feature cache."""
@@ -307,23 +274,20 @@ class Measurer:
 
     def _read(self, key: str | None) -> Any | None:
         """Return a stored measurement, or None if it is not stored or damaged."""
-        if key is None:
-            return None
-        path = self._disk.path(_KIND, key, ".json")
+        path = None if key is None else self._disk.path(_KIND, key, ".json")
         try:
-            if path.stat().st_size > _LARGEST:
+            if path is None or path.stat().st_size > _LARGEST:
                 return None
             checksum, _, text = path.read_text(encoding="utf-8").partition("\n")
             if checksum != _sha256(text):
                 raise ValueError("its checksum is wrong")
-            values = json.loads(text)
+            self._disk.mark_used(path)
+            return json.loads(text)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, RecursionError) as error:
+        except (OSError, ValueError) as error:
             log.warning("%s: damaged (%s); measuring again", path, error)
             return None
-        self._disk.mark_used(path)
-        return values
 
     def _write(self, key: str | None, values: Any) -> None:
         """Store a measurement, if it has a key."""
@@ -369,14 +333,11 @@ def _portions(measurer: Measurer, missing: Sequence[Target], workers: int) -> li
     A set holds all motion of its model in memory; while one is computed, clips are measured.
     """
     sets: list[Target] = [target for target in missing if target[1] is None]
-    of_window: dict[tuple[str, int], list[Target]] = {}
-    for label, index in missing:
-        if index is not None:
-            stem, window = measurer.pairs[label][index].of
-            key = stem, -1 if window is None else window
-            of_window.setdefault(key, []).append((label, index))
+    of_window: dict[Window, list[Target]] = grouped(
+        (measurer.pairs[label][n].of, (label, n)) for label, n in missing if n is not None
+    )
     chains = max(1, workers // 2) if workers > 1 else max(1, len(sets))
-    portions = [of_window[window] for window in sorted(of_window)]
+    portions = [of_window[of] for of in sorted(of_window, key=lambda of: (of[0], of[1] or -1))]
     return [*portions, *filter(None, (sets[k::chains] for k in range(chains)))]
 
 
@@ -414,6 +375,23 @@ def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, ...]]:
         )
         for pair in pairs
     ]
+
+
+def _content(source: Path | ItemInterval) -> str | None:
+    """Return a digest of the files of a clip or recording, and of how they are read.
+
+    None for motion that is made in memory, and for files that cannot be read.
+    """
+    try:
+        if isinstance(source, Path):
+            return file_fingerprint(source)
+        item = source.item
+        values = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
+        how = [value for name, value in values.items() if name not in _DESCRIPTIVE]
+        files = [path and file_fingerprint(path) for path in (item.motion, item.audio)]
+        return None if any(map(callable, how)) else _digest_of([files, how])
+    except OSError:
+        return None
 
 
 def _digest_of(values: Any) -> str:

@@ -22,7 +22,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from gesturekit.evaluation.definitions import DEFINITIONS, MOVEMENT, PATCHES, PO
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, nameless_clip
 from gesturekit.evaluation.measuring.clips import (
     Clip,
+    chosen_frames,
     copied,
     evenly,
     halves,
@@ -39,7 +39,7 @@ from gesturekit.evaluation.measuring.clips import (
     load_recording,
     matched,
 )
-from gesturekit.evaluation.measuring.made_motion import chosen_frames, held, mean_pose
+from gesturekit.evaluation.measuring.made_motion import held, mean_pose
 from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.diagonals import frame_distances
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
@@ -47,7 +47,7 @@ from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
 from gesturekit.evaluation.metrics.physical import relative_speed
 from gesturekit.evaluation.metrics.two_sample import motion_windows
-from gesturekit.evaluation.pairs import Pair, Window
+from gesturekit.evaluation.pairs import Pair, Window, grouped
 from gesturekit.evaluation.results import (
     OTHER_SPEAKER,
     ClipResult,
@@ -327,17 +327,9 @@ def _means(sides: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {key: float(np.mean([side[key] for side in sides])) for key in sorted(keys)}
 
 
-def _by_take(named: Iterable[tuple[str, Any]]) -> dict[str, list[Any]]:
-    """Return {take: what belongs to it} of (take, one of it)."""
-    groups: dict[str, list[Any]] = {}
-    for name, one in named:
-        groups.setdefault(name, []).append(one)
-    return groups
-
-
 def _takes(clips: Iterable[tuple[str, Mapping[str, float], Motion]]) -> list[_Take]:
     """Return the takes of clips, each given by the name of its take, its metrics and its motion."""
-    groups = _by_take((name, (values, motion)) for name, values, motion in clips)
+    groups = grouped((name, (values, motion)) for name, values, motion in clips)
     return [
         _Take(name, _means([values for values, _ in group]), [motion for _, motion in group])
         for name, group in groups.items()
@@ -405,9 +397,12 @@ class LikenessMeasurer:
         self, name: str, clips: Sequence[ClipResult], others: Sequence[Pair]
     ) -> tuple[GroupLikeness, _Speaker, dict[str, list[float]]] | None:
         """Return the likeness to one speaker (and style), the speaker, and its levels."""
-        by_take = _some(_by_take((clip.pair.take, clip) for clip in clips), MOST_TAKES)
+        by_take = _some(grouped((clip.pair.take, clip) for clip in clips), MOST_TAKES)
         chosen = [clip for take in by_take.values() for clip in evenly(take, MOST_CLIPS)]
-        loaded = [(clip, motion) for clip in chosen if (motion := self._loaded(clip.pair))]
+        loaded: list[tuple[ClipResult, Clip]] = []
+        for clip in chosen:
+            with suppress(GestureKitError, AudioFeaturesError):  # reported with the clip
+                loaded.append((clip, load_clip(clip.pair, self.fps, self.without)))
         if not loaded:
             return None
         try:
@@ -435,12 +430,6 @@ class LikenessMeasurer:
         group = speaker.model(_takes((take, *made) for take, made, _ in sides), name)
         return None if group is None else (group, speaker, levels)
 
-    def _loaded(self, pair: Pair) -> Clip | None:
-        try:
-            return load_clip(pair, self.fps, self.without)
-        except (GestureKitError, AudioFeaturesError):
-            return None  # reported with the clip
-
     def _reference(
         self, others: Sequence[Pair], held: set[str], loaded: Sequence[Clip]
     ) -> tuple[list[_Take], bool, bool]:
@@ -451,7 +440,7 @@ class LikenessMeasurer:
         """
         length = round(float(np.median([clip.recording.n_frames for clip in loaded])))
         most, rig = max(1, round(len(loaded) / len(held))), loaded[0].recording.skeleton.names
-        by_take = _by_take((pair.take, pair) for pair in others if pair.take not in held)
+        by_take = grouped((pair.take, pair) for pair in others if pair.take not in held)
         parts = [
             (take, motion)
             for take, pairs in _some(by_take, max(MOST_TAKES - len(held), LEAST_TAKES)).items()
@@ -504,9 +493,9 @@ class LikenessMeasurer:
     def _of_others(self, pair: Pair, own: Motion, most: int) -> Iterator[list[_Take]]:
         """Yield takes of other speakers, on the rig of a recording."""
         others = [other for other in self.recordings if other.speaker != pair.speaker]
-        speakers = _by_take((other.speaker or "", other) for other in others)
+        speakers = grouped((other.speaker or "", other) for other in others)
         for pairs in list(speakers.values())[:MOST_OTHERS]:
-            takes = _by_take((other.take, other) for other in pairs)
+            takes = grouped((other.take, other) for other in pairs)
             moved = []
             for name, some in list(takes.items())[: min(most, MOST_OTHERS)]:
                 pieces = self._pieces(some, own.n_frames, 2)
