@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -309,16 +308,16 @@ def _matched(
         yield from ((name, next(iter(recorded)), None) for name in made)
         return
     by_stem, not_measured = _by_stem(recorded), _by_stem(reasons)
-    aside: dict[str, list[str]] = defaultdict(list)
+    aside: list[tuple[str, str]] = []
     for name in made:
         stem, window, reason = _recording_of(name, recorded, by_stem)
         if stem is not None:
             yield name, stem, window
         elif (item := _recording_of(name, reasons, not_measured)[0]) is not None:
-            aside[reasons[item]].append(name)
+            aside.append((reasons[item], name))
         else:
             found.excluded.append(Excluded(name, reason))
-    for reason, names in sorted(aside.items()):
+    for reason, names in sorted(grouped(aside).items()):
         what = "whose items have no motion" if reason == "no motion" else f"of {reason}"
         found.notes.append(
             f"{counted(len(names), 'clip')} {what} in {path}, not measured: {listed(names, 3)}"
@@ -363,14 +362,12 @@ def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, 
     Raises:
         CorpusError: no such folder or file, one of another kind, or none inside.
     """
-    by_suffix: dict[str, dict[str, Path]] = {suffix: {} for suffix in reversed(suffixes)}
     root, files = path.parent, [path] if path.is_file() else []
     if path.is_dir():
         root, files = path, [file for _, _, below in visible_folders(path) for file in below]
-    for file in files:
-        if (suffix := file.suffix.lower()) in by_suffix:
-            by_suffix[suffix][file.relative_to(root).with_suffix("").as_posix()] = file
-    found = {key: file for paths in by_suffix.values() for key, file in paths.items()}
+    files = [file for file in files if file.suffix.lower() in suffixes]
+    files.sort(key=lambda file: -suffixes.index(file.suffix.lower()))  # the last one counts
+    found = {file.relative_to(root).with_suffix("").as_posix(): file for file in files}
     if not found:
         kinds = ", ".join(suffixes)
         problem = f"no such file or folder; give a folder of {what} files"

@@ -166,11 +166,9 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
     legs = leg_joints(rig, find_legs(rig) or {}) if is_upper_body(motion.skeleton) else set()
     names = tuple(name for name in names if name not in legs)
     own = {without_namespace(name): name for name in reversed(motion.skeleton.names)}
-    renamed = {
-        own[without_namespace(name)]: name for name in names if without_namespace(name) in own
-    }
-    found = set(renamed.values())
-    joints = tuple(name for name in names if name in found)
+    bare = {name: without_namespace(name) for name in names}
+    renamed = {own[bare[name]]: name for name in names if bare[name] in own}
+    joints = tuple(name for name in names if name in renamed.values())
     by_name = len(joints) >= max(2, MATCHED * len(names))
     named = _renamed(motion, renamed) if by_name else motion
     notes = ["the generated rig has no legs"] if legs else []
@@ -182,17 +180,15 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
             return names, moved, [RETARGETED, *notes]
         except MotionError as error:
             if not by_name:
-                missing = [name for name in names if name not in found]
+                lost = ", ".join([name for name in names if name not in joints][:5])
                 raise MotionError(
                     f"rigs do not match: {len(joints)} of {len(names)} body joints of the "
-                    f"recording are found by name (missing: {', '.join(missing[:5])} ...), and it "
-                    f"cannot be retargeted: {error}"
+                    f"recording are found by name (missing: {lost} ...), and it cannot be "
+                    f"retargeted: {error}"
                 ) from None
             notes.append(f"another body, which cannot be retargeted ({error})")
-    if len(joints) < len(names):
-        notes.append(
-            f"{len(names) - len(joints)} of {len(names)} body joints are not in the generated rig"
-        )
+    if missing := len(names) - len(joints):
+        notes.append(f"{missing} of {len(names)} body joints are not in the generated rig")
     return joints, named, notes
 
 

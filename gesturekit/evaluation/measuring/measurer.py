@@ -60,6 +60,8 @@ pairs; None for their set."""
 Measurement = ClipResult | Excluded | SetMeasurement
 """Result of measuring a target; a clip that cannot be read is `Excluded`."""
 
+_Sound = tuple[Path | ItemInterval, int | None]
+"""Sound of a recording, and the index of its 10 s window; None for the whole."""
 _KIND = "measurements-1"
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "scikit-learn", "soundfile")
 _CODE = ("evaluation", "motion", "formats", "corpus")
@@ -136,7 +138,10 @@ class Measurer:
             clip = load_clip(pair, self.fps, self.without)
         except (GestureKitError, AudioFeaturesError) as error:
             return Excluded(pair.name, str(error))
-        found, sounds = self.measure.generated(clip), self._load_sounds(label, pair)
+        found, sounds = self.measure.generated(clip), list[RecordedSound]()
+        for path, at in self._others[label, index][0]:
+            with suppress(AudioFeaturesError):  # reported with the clip that it belongs to
+                sounds.append(load_sound(path, at))
         window = pair.of, clip.joints
         if window not in self._recorded:  # also in time with other recordings' sounds
             own = self.measure.recording(clip)
@@ -144,8 +149,8 @@ class Measurer:
             other = self.measure.mismatched_sound(as_made, sounds).get("in_time")
             self._recorded[window] = own if other is None else {**own, OTHER_SOUND: other}
         mismatched = self.measure.mismatched_sound(clip, sounds)
-        for key in self._other_motions(pair):
-            motion = load_recording(self.recordings[key], self.fps)
+        for source in self._others[label, index][1]:
+            motion = load_recording(source, self.fps)
             mismatched |= self.measure.mismatched_motion(clip, motion)
         return ClipResult(
             pair,
@@ -173,31 +178,19 @@ class Measurer:
         """Sources of the recordings that are compared with and can be read, by key."""
         return {key: self.itself[key].reference for key in self.measure.statistics.recordings}
 
-    def _other_motions(self, pair: Pair) -> list[str]:
-        return _after(list(self.recordings), pair.stem, 1)
-
-    def _other_sounds(self, label: str, pair: Pair) -> list[tuple[Path | ItemInterval, int | None]]:
-        if SPEECH not in self.measure.groups or pair.audio is None:
-            return []
-        return _after(self._sounds[label], (pair.audio, pair.window), MISMATCHED)
-
-    def _load_sounds(self, label: str, pair: Pair) -> list[RecordedSound]:
-        """Read the sounds that a clip is also compared with, for the mismatched level."""
-        sounds = []
-        for path, window in self._other_sounds(label, pair):
-            try:
-                sounds.append(load_sound(path, window))
-            except AudioFeaturesError:
-                continue  # reported with the clip that it belongs to
-        return sounds
-
     @functools.cached_property
-    def _sounds(self) -> dict[str, list[tuple[Path | ItemInterval, int | None]]]:
-        """Sounds of each model's clips, with their windows."""
-        return {
-            label: list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio))
-            for label, pairs in self.pairs.items()
-        }
+    def _others(self) -> dict[Target, tuple[list[_Sound], list[Path | ItemInterval]]]:
+        """Sounds and motion of other recordings that each clip is also compared with."""
+        found: dict[Target, tuple[list[_Sound], list[Path | ItemInterval]]] = {}
+        speech, keys = SPEECH in self.measure.groups, list(self.recordings)
+        for label, pairs in self.pairs.items():
+            every = list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio and speech))
+            for index, pair in enumerate(pairs):
+                own = pair.audio, pair.window
+                sounds = _after(every, own, MISMATCHED) if pair.audio else []
+                motions = [self.recordings[key] for key in _after(keys, pair.stem, 1)]
+                found[label, index] = sounds, motions
+        return found
 
     @functools.cached_property
     def ceilings(self) -> dict[str, tuple[Interval, str]]:
@@ -237,11 +230,9 @@ class Measurer:
         """Return the key of a measurement; None if it cannot be stored."""
         label, index = target
         if index is not None:
-            pair = self.pairs[label][index]
-            sounds = self._other_sounds(label, pair)
-            motions = [self.recordings[key] for key in self._other_motions(pair)]
-            others = [*(sound for sound, _ in sounds), *motions]
-            return self._key_of([[w for _, w in sounds], pair.window], [*_files(pair), *others])
+            pair, (sounds, motions) = self.pairs[label][index], self._others[target]
+            files = [*_files(pair), *(sound for sound, _ in sounds), *motions]
+            return self._key_of([[w for _, w in sounds], pair.window], files)
         pairs, order = self.pairs[label], dict[Window, int]()
         files = [source for pair in pairs for source in _files(pair)]
         files += [ItemInterval(item) for item in self.training]
