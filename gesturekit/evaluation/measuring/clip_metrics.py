@@ -271,17 +271,15 @@ class ClipMetrics:
     def _own(self, inputs: ClipInputs) -> Values:
         """Compute the metrics of one motion, and of it with its sound, after those of movement."""
         found, pair = Values(), inputs.clip.pair
-        chosen = sorted(self._chosen("motion"), key=lambda d: d.taken_with != MOVEMENT)
-        movement = sum(d.taken_with == MOVEMENT for d in chosen)
-        for definition in chosen[:movement]:
-            found.add(definition, *inputs.sources)
-        if SPEECH in self.groups and pair.audio is not None:
-            try:
-                self._speech(found, inputs, load_sound(pair.audio, pair.window))
-            except AudioFeaturesError as error:
-                found.problems.append(("speech", str(error)))
-        for definition in chosen[movement:]:
-            found.add(definition, *inputs.sources)
+        for is_movement in (True, False):
+            for definition in self._chosen("motion"):
+                if is_movement == (definition.taken_with == MOVEMENT):
+                    found.add(definition, *inputs.sources)
+            if is_movement and SPEECH in self.groups and pair.audio is not None:
+                try:
+                    self._speech(found, inputs, load_sound(pair.audio, pair.window))
+                except AudioFeaturesError as error:
+                    found.problems.append(("speech", str(error)))
         return found
 
     def _compare(self, found: Values, inputs: ClipInputs) -> None:

@@ -203,10 +203,11 @@ class _Group:
         return nearest_training(windows, self.trained, self.joints), windows.clips
 
 
+@dataclass(eq=False)
 class SetMetrics:
     """Accumulates the clips of one model, ordered by recording, and computes metrics of their set.
 
-    Args:
+    Attributes:
         measure: the metrics of single clips, with groups and variants.
         sources: all recordings by key.
         training: motion of the training split; without any, takes are compared with each other.
@@ -216,19 +217,17 @@ class SetMetrics:
         known: values of recordings that other models have in common; filled here.
     """
 
-    def __init__(
-        self,
-        measure: ClipMetrics,
-        sources: Mapping[str, Path | ItemInterval],
-        training: TrainingMotion,
-        fps: float,
-        features: Extractor | None,
-        seed: int,
-        known: dict[Hashable, Any],
-    ) -> None:
-        self.measure, self.sources, self.training, self.fps = measure, sources, training, fps
-        self.features, self.seed, self._known = features, seed, known
-        self._found = SetMeasurement(training_excluded=training.excluded)
+    measure: ClipMetrics
+    sources: Mapping[str, Path | ItemInterval]
+    training: TrainingMotion
+    fps: float
+    features: Extractor | None
+    seed: int
+    known: dict[Hashable, Any]
+
+    def __post_init__(self) -> None:
+        seed = self.seed
+        self._found = SetMeasurement(training_excluded=self.training.excluded)
         self._pairs: list[Pair] = []
         self._recordings: dict[Window, _Recording] = {}
         self._speeds: list[_Speeds] = []
@@ -529,9 +528,9 @@ class SetMetrics:
         """Return a value of the recordings, computed once for all models that share them."""
         # A model lacks the recordings whose clips cannot be read.
         key = (name, tuple(group.joints for group in self._groups), self._digest.hexdigest())
-        if key not in self._known:
-            self._known[key] = compute()
-        return self._known[key]
+        if key not in self.known:
+            self.known[key] = compute()
+        return self.known[key]
 
     def _compared(self) -> str:
         """Return how recordings are compared with recordings, in words."""

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import chain
 
 import numpy as np
 
@@ -76,8 +75,8 @@ OTHERS, ONE_TAKE, HALVES = (
     "recording: against another piece of the same take",
     "recording: one half against the other",
 )
-_OF_SPEECH = ("mouth", "mouth_lag", "mouth_chance", "mouth_z")
-"""Metrics for which another take is no goal: a mouth follows the words."""
+_NO_GOAL = ("mouth", "mouth_lag", "mouth_chance", "mouth_z", "hellinger")
+"""Metrics for which another take is no goal: a mouth follows words, speeds are taken of halves."""
 SECOND = ", second half"
 """Ending of the name of the second half of a single recording."""
 
@@ -120,16 +119,16 @@ def ceilings(
         Clip(own[name], chosen[other], chosen[name], joints, None, ())
         for name, other in others.items()
     ]
+    measured = [(key, (v, c.pair)) for c in clips for key, v in measure.against(c).items()]
     found: dict[str, tuple[Interval, str]] = {}
-    values = [measure.against(clip) for clip in clips]
-    for key in set(chain.from_iterable(values)) - {"hellinger", *_OF_SPEECH}:
-        has = [(v[key], clip.pair) for v, clip in zip(values, clips) if key in v]
-        takes = Takes.of([pair for _, pair in has])
-        found[key] = interval_of([v for v, _ in has], takes, DEFINITIONS[key].within), note
+    for key, several in grouped(measured).items():
+        values, pairs = zip(*several, strict=True)
+        if key not in _NO_GOAL:
+            found[key] = interval_of(values, Takes.of(pairs), DEFINITIONS[key].within), note
     sides = halves(list(chosen.values()))
     speeds = ([relative_speed(motion, joints) for motion in side] for side in sides)
     sets = {"hellinger": hellinger(*map(SpeedHistogram.of, speeds))}
-    try:
+    with suppress(GestureKitError):  # the model's own result says why it cannot be taken
         if SIMILARITY in measure.groups:
             both = [similarity.pose_pair(c.generated, c.recording, joints) for c in clips]
             poses = (np.concatenate(side) for side in zip(*both, strict=True))
@@ -138,8 +137,6 @@ def ceilings(
             variant, some = measure.variants.patches, list(chosen.values())[:INTER]
             features = [patch_features(motion, variant, joints=joints) for motion in some]
             sets["inter_diversity"] = inter_diversity(features)
-    except GestureKitError:
-        pass  # the model's own result says why it cannot be taken
     return found | {key: (whole_set(v, len(chosen)), HALVES) for key, v in sets.items()}
 
 
