@@ -20,14 +20,8 @@ import gesturekit as gk
 from audio_features import Wave
 from gesturekit.corpus import Item, Manifest
 from gesturekit.corpus.alignment import speech_envelope
-from gesturekit.evaluation.made_motion import (
-    chosen_frames,
-    halved,
-    held,
-    mean_pose,
-    shaken,
-    turned,
-)
+from gesturekit.evaluation.measuring.clips import chosen_frames
+from gesturekit.evaluation.measuring.made_motion import halved, held, mean_pose, shaken, turned
 from gesturekit.evaluation.pairs import motion_files
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import arm_joints, find_parts

@@ -179,7 +179,7 @@ def rendered_baselines(
         UsageError: an unknown name or that of a model, no manifest, or the model of `generated` is
             not known.
     """
-    from gesturekit.evaluation.measuring.baselines import BASELINES
+    from gesturekit.evaluation.measuring.made_motion import BASELINES
     from gesturekit.progress import Progress
     from gesturekit.rendering import samples
     from gesturekit.rendering.batch import model_of_results

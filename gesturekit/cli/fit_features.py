@@ -17,7 +17,7 @@ from gesturekit.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from gesturekit.evaluation.measuring.samples import MotionSample
+    from gesturekit.evaluation.measuring.clips import MotionSample
 
 
 @click.command(
@@ -100,7 +100,7 @@ def _read(paths: tuple[Path, ...], seed: int) -> tuple[MotionSample, bool]:
     """Return motions of files and folders, and whether all could be read; print what is wrong."""
     from gesturekit.corpus.pairing import scan
     from gesturekit.errors import EvaluationError, GestureKitError
-    from gesturekit.evaluation.measuring.samples import MotionSample
+    from gesturekit.evaluation.measuring.clips import MotionSample
     from gesturekit.motion import Motion
 
     files: list[Path] = []

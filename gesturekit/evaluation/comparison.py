@@ -9,6 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from audio_features.errors import check_values
 from gesturekit.corpus.takes import merged_speakers, neighbours, pieces_of_takes, takes_of
 from gesturekit.errors import EvaluationError, GestureKitError, gesturekit_errors
 from gesturekit.evaluation.definitions import (
@@ -21,23 +24,23 @@ from gesturekit.evaluation.definitions import (
     SPEECH,
     Variants,
 )
-from gesturekit.evaluation.measuring.alike import (
-    joints_to_leave_out,
-    keep_common_recordings,
-    mark_unlike,
-)
-from gesturekit.evaluation.measuring.baselines import baseline_pairs
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceStatistics
-from gesturekit.evaluation.measuring.clips import LENGTH_TOLERANCE, forget_files, read_motion
+from gesturekit.evaluation.measuring.clips import (
+    LENGTH_TOLERANCE,
+    RETARGETED,
+    forget_files,
+    load_clip,
+    read_motion,
+    without_namespace,
+)
+from gesturekit.evaluation.measuring.made_motion import baseline_pairs
 from gesturekit.evaluation.measuring.measurer import (
-    FRECHET_PART,
     MISMATCHED,
-    POOLED_PART,
-    Measured,
     Measurer,
     Progress,
     measure_all,
 )
+from gesturekit.evaluation.measuring.set_metrics import SetMeasurement
 from gesturekit.evaluation.metrics.frame_rate import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
@@ -45,7 +48,9 @@ from gesturekit.evaluation.pairs import (
     Items,
     Pair,
     Pairs,
+    Window,
     find_pairs,
+    grouped,
     recordings,
 )
 from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
@@ -54,11 +59,14 @@ from gesturekit.evaluation.statistics.model_metrics import metric_results
 from gesturekit.evaluation.statistics.questions import answer_questions
 from gesturekit.field_docs import build_options
 from gesturekit.motion import Motion
-from gesturekit.wording import listed
+from gesturekit.motion.parts import body_joints
+from gesturekit.wording import counted, listed
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
+SAME_LENGTH = 0.1
+"""Largest relative difference of the clips of two models for one recording."""
 PROTOCOLS = {
     "": GROUPS,
     "multires": (MOVEMENT, PATCHES),
@@ -79,7 +87,7 @@ class EvaluationOptions:
     """Options of `evaluate`.
 
     Raises:
-        EvaluationError: an unknown protocol.
+        EvaluationError: an unknown protocol, or a seed below 0.
     """
 
     split: str | None = None
@@ -116,11 +124,12 @@ class EvaluationOptions:
     """Wraps the portions as they are done, such as in a progress bar, given number and label."""
 
     def __post_init__(self) -> None:
-        if self.protocol not in PROTOCOLS:
-            known = ", ".join(filter(None, PROTOCOLS))
-            raise EvaluationError(f"protocol {self.protocol!r}; expected one of {known}")
-        if self.seed < 0:
-            raise EvaluationError(f"seed is {self.seed}: give a whole number from 0")
+        known = f"one of {', '.join(filter(None, PROTOCOLS))}"
+        checks: list[tuple[str, object, bool, str]] = [
+            ("protocol", self.protocol, self.protocol in PROTOCOLS, known),
+            ("seed", self.seed, self.seed >= 0, "a whole number from 0"),
+        ]
+        check_values(EvaluationError, "", checks)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -177,99 +186,90 @@ def evaluate(
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
     reference, split = _recordings(reference, chosen)
-    takes = _takes(reference, chosen)
-    pairs = _pairs(folders, reference, chosen, takes)
+    pairs, itself = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(pairs.values())))
     pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
-    measurer, statistics = _measurer(pairs, reference, fps, takes, chosen)
+    measurer = _measurer(pairs, reference, fps, itself, chosen)
     measured = measure_all(measurer, chosen.workers, chosen.progress)
-    models = [ModelResult(label, folders.get(label, Path(label))) for label in pairs]
-    for model in models:
-        _fill(model, pairs[model.label], measured[model.label], measurer, chosen)
+    models = [
+        _model_result(label, folders.get(label, Path(label)), some, measured[label], measurer)
+        for label, some in pairs.items()
+    ]
     _judge(models, reference, chosen.protocol)
-    first = measured[models[0].label].sets[POOLED_PART]
-    models[0].excluded += [*statistics.excluded, *first.training_excluded]
+    whole = measured[models[0].label][1]
+    models[0].excluded += [*measurer.measure.statistics.excluded, *whole.training_excluded]
     return Evaluation(
         models=models,
         reference=reference.path if isinstance(reference, Items) else reference,
         fps=fps,
         protocol=chosen.protocol,
         settings=chosen.to_json(split),
-        recorded_speeds=first.recorded_speeds,
-        recorded_wrists=first.recorded_wrists,
+        recorded_speeds=whole.recorded_speeds,
+        recorded_wrists=whole.recorded_wrists,
     )
 
 
 def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str) -> None:
     """Answer the three questions, and add notes on models and recordings that flatter them."""
+    for model in models:
+        model.notes += _protocol_notes(model, protocol)
     if POOLED in PROTOCOLS[protocol]:
         answer_questions(models)
-    mark_unlike(models)
+    _mark_unlike(models)
     if isinstance(reference, Items) and reference.split:
         beside = neighbours((*reference.items, *reference.others), reference.split)
         models[0].notes += [beside] if beside else []
 
 
-def _takes(reference: Path | Items, options: EvaluationOptions) -> dict[str, str]:
-    """Return {recording: take} of those that the options give a take."""
-    names = list(recordings(reference, all_splits=True))
-    return takes_of(names, options.take_pattern, options.take_table)
-
-
-def _about_takes(pairs: Sequence[Pair], takes: Mapping[str, str]) -> list[str]:
-    """Return what is to be said on the takes of the recordings of clips."""
-    if takes:
-        return merged_speakers((pair.stem, pair.speaker, pair.take) for pair in pairs)
-    own = {pair.stem: pair.reference for pair in pairs if pair.take == pair.stem}
-    return pieces_of_takes({name: partial(read_motion, source) for name, source in own.items()})
-
-
 def _pairs(
-    folders: Mapping[str, Path],
-    reference: Path | Items,
-    options: EvaluationOptions,
-    takes: Mapping[str, str],
-) -> dict[str, Pairs]:
-    """Return {label: clips of the recordings that all models have}."""
+    folders: Mapping[str, Path], reference: Path | Items, options: EvaluationOptions
+) -> tuple[dict[str, Pairs], dict[str, Pair]]:
+    """Return {label: clips of the recordings that all models have}, and each recording with itself.
+
+    The latter are of all splits; both have the takes that the options give.
+    """
+    sources = recordings(reference, all_splits=True)
+    takes = takes_of(list(sources), options.take_pattern, options.take_table)
+    itself = {k: Pair(k, k, None, s, s, take=takes.get(k, "")) for k, s in sources.items()}
     audio, semantic = (p if p is None else Path(p) for p in (options.audio, options.semantic))
     found = {
         label: find_pairs(folder, reference, audio=audio, semantic=semantic)
         for label, folder in folders.items()
     }
-    keep_common_recordings(found)
-    for pairs in found.values():
-        pairs.pairs = [
-            replace(pair, take=takes.get(pair.stem) or pair.take) for pair in pairs.pairs
-        ]
+    _keep_common_recordings(found)
+    for some in found.values():
+        some.pairs = [replace(pair, take=itself[pair.stem].take) for pair in some.pairs]
     first = next(iter(found.values()))
-    first.notes += _about_takes(first.pairs, takes)
-    return found
+    if takes:
+        first.notes += merged_speakers((p.stem, p.speaker, p.take) for p in first.pairs)
+    else:
+        own = {p.stem: partial(read_motion, p.reference) for p in first.pairs if p.take == p.stem}
+        first.notes += pieces_of_takes(own)
+    return found, itself
 
 
 def _measurer(
     pairs: Mapping[str, Pairs],
     reference: Path | Items,
     fps: float,
-    takes: Mapping[str, str],
+    itself: Mapping[str, Pair],
     options: EvaluationOptions,
-) -> tuple[Measurer, ReferenceStatistics]:
-    """Return all that is to be measured, and the statistics of the recordings."""
+) -> Measurer:
+    """Return all that is to be measured."""
     # In Table 4 of Alexanderson et al. 2023 sets are compared with the full dataset: all splits.
     compared = recordings(reference, all_splits=options.protocol == "lda")
     statistics = ReferenceStatistics.of(compared, fps)
-    measurer = Measurer(
+    return Measurer(
         measure=ClipMetrics(statistics, options.groups, options.variants, options.cheap),
         pairs={label: some.pairs for label, some in pairs.items()},
-        recordings={key: compared[key] for key in statistics.recordings},
-        reference=reference,
+        itself=itself,
+        training=reference.training if isinstance(reference, Items) else (),
         fps=fps,
         length=MULTIRES_LENGTH if options.protocol == "multires" else 1.0,
         features=options.features,
         seed=options.seed,
-        without=joints_to_leave_out(pairs, fps),
-        takes=takes,
+        without=_joints_to_leave_out(pairs, fps),
     )
-    return measurer, statistics
 
 
 def _recordings(
@@ -281,17 +281,17 @@ def _recordings(
         CorpusError: the manifest cannot be read, or has no item of the split.
         EvaluationError: a split is given without a manifest, or sound beside one.
     """
+    problem = ""
     if not isinstance(reference, Items) and Path(reference).suffix.lower() == ".jsonl":
         reference = Items.of_manifest(Path(reference), options.split or "test")
     elif options.split is not None:
-        raise EvaluationError(
-            f"split={options.split!r} chooses items of a manifest (.jsonl): {reference}"
-        )
-    if not isinstance(reference, Items):
-        return Path(reference), None
-    if reference.split and options.audio is not None:
-        raise EvaluationError(f"{reference.path} already gives the sound: leave audio out")
-    return reference, reference.split or None
+        problem = f"split={options.split!r} chooses items of a manifest (.jsonl): {reference}"
+    split = reference.split if isinstance(reference, Items) else ""
+    if split and options.audio is not None and not problem:
+        problem = f"{reference} already gives the sound: leave audio out"
+    if problem:
+        raise EvaluationError(problem)
+    return reference if isinstance(reference, Items) else Path(reference), split or None
 
 
 def _frame_rate(pairs: Pairs) -> float:
@@ -306,78 +306,157 @@ def _frame_rate(pairs: Pairs) -> float:
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
 
 
-def _fill(
-    result: ModelResult,
+def _model_result(
+    label: str,
+    path: Path,
     pairs: Pairs,
-    measured: Measured,
+    measured: tuple[Sequence[ClipResult | Excluded], SetMeasurement],
     measurer: Measurer,
-    options: EvaluationOptions,
-) -> None:
-    """Fill in the results of a model, from the measurements of its clips and of their set.
+) -> ModelResult:
+    """Return the results of a model, from the measurements of its clips and of their set.
 
     Raises:
         EvaluationError: no clip could be measured.
     """
-    result.excluded, result.notes = list(pairs.excluded), list(pairs.notes)
-    problems: dict[tuple[str, str], list[str]] = {}
-    for clip in measured.clips:
-        if isinstance(clip, Excluded):
-            result.excluded.append(clip)
-            continue
-        for key, reason in clip.problems:
-            problems.setdefault((key, reason), []).append(clip.pair.name)
-        result.clips.append(clip)
-    if not result.clips:
-        reasons = "; ".join(item.reason for item in result.excluded[:3])
-        raise EvaluationError(f"{result.path}: no clip could be measured: {reasons}")
-    likeness = measurer.likeness(result.label, result.clips)
-    whole, frechet = (measured.sets[part] for part in (POOLED_PART, FRECHET_PART))
-    for clip, values in zip(result.clips, whole.by_clip):
+    clips = [clip for clip in measured[0] if isinstance(clip, ClipResult)]
+    excluded = [*pairs.excluded, *(clip for clip in measured[0] if isinstance(clip, Excluded))]
+    if not clips:
+        reasons = "; ".join(item.reason for item in excluded[:3])
+        raise EvaluationError(f"{path}: no clip could be measured: {reasons}")
+    likeness, whole = measurer.likeness(label, clips), measured[1]
+    for clip, values in zip(clips, whole.by_clip):
         clip.metrics |= values
-    of_set = whole.metrics | frechet.metrics
-    result.metrics = metric_results(result.clips, of_set, measurer.ceilings, likeness)
-    if PATCHES in options.groups:
-        result.by_recording = _by_recording(result.clips)
-    result.speeds, result.wrists = whole.speeds, whole.wrists
-    result.notes += _protocol_notes(result, options.protocol)
-    for key, reason in (*frechet.problems, *whole.problems):
-        problems.setdefault((key, reason), []).append("the whole set")
+    named = [
+        *((clip.pair.name, clip.problems) for clip in clips),
+        ("the whole set", whole.problems),
+    ]
+    problems = grouped(((key, why), name) for name, several in named for key, why in several)
     for (key, reason), names in problems.items():
         title = DEFINITIONS[key].name if key in DEFINITIONS else key
-        result.excluded.append(Excluded(listed(names, 3), reason, title))
+        excluded.append(Excluded(listed(names, 3), reason, title))
+    return ModelResult(
+        label,
+        path,
+        metrics=metric_results(clips, whole.metrics, measurer.ceilings, likeness),
+        by_recording=_by_recording(clips) if PATCHES in measurer.measure.groups else {},
+        clips=clips,
+        excluded=excluded,
+        notes=list(pairs.notes),
+        speeds=whole.speeds,
+        wrists=whole.wrists,
+    )
 
 
 def _by_recording(clips: Sequence[ClipResult]) -> dict[str, dict[str, Interval]]:
     """Average the patch metrics over the samples of each recording (eq. 18)."""
-    samples: dict[str, list[Mapping[str, float]]] = {}
-    for clip in clips:
-        samples.setdefault(clip.pair.stem, []).append(clip.metrics)
-    patches = [definition for definition in DEFINITIONS.values() if definition.group == PATCHES]
-    return {
-        stem: {
-            d.key: interval_over_samples([m[d.key] for m in metrics if d.key in m], d.within)
-            for d in patches
-            if any(d.key in m for m in metrics)
-        }
-        for stem, metrics in sorted(samples.items())
-    }
+    found: dict[str, dict[str, Interval]] = {}
+    for stem, metrics in sorted(grouped((clip.pair.stem, clip.metrics) for clip in clips).items()):
+        known = grouped((key, value) for values in metrics for key, value in values.items())
+        patches = [d for d in DEFINITIONS.values() if d.group == PATCHES and d.key in known]
+        found[stem] = {d.key: interval_over_samples(known[d.key], d.within) for d in patches}
+    return found
 
 
 def _protocol_notes(result: ModelResult, protocol: str) -> list[str]:
     """Return notes on clips that differ from the protocol in number or length."""
-    counts = Counter(clip.pair.of for clip in result.clips)
-    wanted = {"multires": MULTIRES_SAMPLES, "lda": LDA_SAMPLES}.get(protocol)
-    other = [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]
-    notes = []
-    if wanted and other:
-        what = "window" if protocol == "lda" else "recording"
+    if not protocol:
+        return []
+    counts, notes = Counter(clip.pair.of for clip in result.clips), []
+    is_lda = protocol == "lda"
+    wanted, what = (LDA_SAMPLES, "window") if is_lda else (MULTIRES_SAMPLES, "recording")
+    if other := [f"{stem}: {n}" for (stem, _), n in counts.items() if n != wanted]:
         notes.append(f"the protocol takes {wanted} samples of each {what}; {listed(other, 3)}")
-    if protocol == "lda":
-        odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
-        if odd:
-            notes.append(
-                f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of "
-                f"{len(result.clips)} are of another length and are cut into such clips for "
-                "Fréchet distances"
-            )
+    odd = [c for c in result.clips if abs(c.seconds - WINDOW_SECONDS) > LENGTH_TOLERANCE]
+    if is_lda and odd:
+        notes.append(
+            f"the protocol takes clips of {WINDOW_SECONDS:g} s; {len(odd)} of {len(result.clips)} "
+            "are of another length and are cut into such clips for Fréchet distances"
+        )
     return notes
+
+
+def _keep_common_recordings(found: Mapping[str, Pairs]) -> None:
+    """Set clips apart that other models have no counterpart of, with a note and the reason.
+
+    A mean over other recordings, or other windows of them, is not comparable.
+
+    Raises:
+        EvaluationError: no recording has clips of all models.
+    """
+    windows = {key: {pair.of for pair in pairs.pairs} for key, pairs in found.items()}
+    common = set.intersection(*windows.values())
+    if not common:
+        counts = "; ".join(f"{key}: {_names_of(seen)}" for key, seen in windows.items())
+        raise EvaluationError(
+            f"no recording, or window of one, has clips of all models ({counts}), so they cannot "
+            "be compared; evaluate each alone, or render the same files"
+        )
+    for label, pairs in found.items():
+        apart = [pair for pair in pairs.pairs if pair.of not in common]
+        pairs.pairs = [pair for pair in pairs.pairs if pair.of in common]
+        for pair in apart:
+            lack = [key for key, seen in windows.items() if pair.of not in seen]
+            reason = f"set apart: {listed(lack, 3)} has no clip of this recording"
+            pairs.excluded.append(Excluded(pair.name, reason))
+        if apart:
+            shared = f"the {counted(len(common), 'recording')} that they share"
+            lost = f"{counted(len(apart), 'clip')} of {label} set apart"
+            pairs.notes.append(f"all models are compared on {shared}; {lost}")
+
+
+def _joints_to_leave_out(found: Mapping[str, Pairs], fps: float) -> frozenset[str]:
+    """Return the bare names of body joints that the first clip of some model lacks.
+
+    All models are measured without them; a note of each model that lacks some says so.
+    """
+    without: set[str] = set()
+    for label, pairs in found.items():
+        for pair in pairs.pairs:
+            try:
+                clip = load_clip(pair, fps)
+            except GestureKitError:
+                continue  # reported when it is measured
+            lost = [n for n in body_joints(clip.recording.skeleton) if n not in clip.joints]
+            without |= {without_namespace(name) for name in lost}
+            if lost and len(found) > 1:
+                lacks = f"{label} lacks {listed(lost, 5)} of the recordings' rig"
+                pairs.notes.append(f"{lacks}: all models are measured without")
+            break
+    return frozenset(without)
+
+
+def _mark_unlike(models: Sequence[ModelResult]) -> None:
+    """Mark models whose clips were retargeted, or have another length than the first model's."""
+    first = models[0]
+    usual = _lengths(first)
+    for model in models:
+        changed = sum(RETARGETED in clip.notes for clip in model.clips)
+        if changed:
+            model.marks.append("retargeted")
+            model.notes.append(
+                f"{changed} of {counted(len(model.clips), 'clip')} are on another rig than their "
+                "recording: they were retargeted to it before they were measured, and feet and "
+                "reach are partly those of the retargeting"
+            )
+        own = _lengths(model)
+        shared = [window for window in own if window in usual]
+        other = [w for w in shared if abs(own[w] - usual[w]) > SAME_LENGTH * usual[w]]
+        if len(other) > len(shared) / 2:
+            lengths = [float(np.median([of[w] for w in other])) for of in (own, usual)]
+            model.marks.append("other length")
+            model.notes.append(
+                f"clips of {lengths[0]:.3g} s where those of {first.label} have {lengths[1]:.3g} "
+                "s: diversity, coverage, CCA and Fréchet distances depend on length, and do not "
+                "rank these models"
+            )
+
+
+def _lengths(model: ModelResult) -> dict[Window, float]:
+    """Return the mean length of a model's clips of each recording, seconds."""
+    every = grouped((clip.pair.of, clip.seconds) for clip in model.clips)
+    return {window: float(np.mean(seconds)) for window, seconds in every.items()}
+
+
+def _names_of(windows: set[Window]) -> str:
+    names = sorted(stem if w is None else f"{stem}, window {w}" for stem, w in windows)
+    return listed(names, 2)

@@ -9,21 +9,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from gesturekit.corpus.manifest import Manifest
+from gesturekit.corpus.manifest import Item, Manifest
 from gesturekit.errors import CorpusError
 from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.sources import SPEECH_SUFFIXES, load, visible_folders
 from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
-    from audio_features import Wave
     from gesturekit.motion import Motion
 
 _MOTION = tuple(sorted(MOTION_SUFFIXES, key=lambda suffix: suffix != ".npz"))
@@ -36,49 +34,24 @@ _SAMPLE = re.compile(r"_s\d+$")
 _CUT = re.compile(r"@\d+(\.\d+)?-\d+(\.\d+)?(_s\d+)?$")
 _WINDOW = re.compile(r"_w(\d{3,})$")
 Source = TypeVar("Source")
+_Key = TypeVar("_Key")
 Window = tuple[str, int | None]
 """A recording and the index of its 10 s window; None for the whole recording."""
-
-
-class _ManifestItem(Protocol):
-    """Interface of a manifest item, `gesturekit.corpus.Item`: an interval of a recording."""
-
-    @property
-    def id(self) -> str: ...
-    @property
-    def take(self) -> str: ...
-    @property
-    def speaker(self) -> str | None: ...
-    @property
-    def style(self) -> str | None: ...
-    @property
-    def audio(self) -> Path | None: ...
-    @property
-    def motion(self) -> Path | None: ...
-    @property
-    def split(self) -> str: ...
-    @property
-    def motion_start(self) -> float: ...
-    @property
-    def duration(self) -> float: ...
-
-    def load_motion(self) -> Motion:
-        """Read the interval of motion."""
-
-    def load_wave(self) -> Wave:
-        """Read the interval of sound."""
 
 
 @dataclass(frozen=True, eq=False)
 class ItemInterval:
     """An interval of a recording, given by a manifest item instead of a file."""
 
-    item: _ManifestItem
+    item: Item
 
     @property
     def name(self) -> str:
         """The item's id."""
         return self.item.id
+
+    def __str__(self) -> str:
+        return self.name
 
 
 @dataclass(frozen=True)
@@ -105,9 +78,9 @@ class Items:
 
     path: Path
     split: str
-    items: tuple[_ManifestItem, ...]
+    items: tuple[Item, ...]
     aside: Mapping[str, str] = field(default_factory=dict)
-    others: tuple[_ManifestItem, ...] = ()
+    others: tuple[Item, ...] = ()
 
     @classmethod
     def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
@@ -121,9 +94,8 @@ class Items:
             CorpusError: no recording was found.
         """
         files = motion_files(path).items()
-        return cls(
-            path, "", tuple(_File(id=key, motion=file, reading=reading) for key, file in files)
-        )
+        items = (BareItem(id=key, motion=file, reading=reading) for key, file in files)
+        return cls(path, "", tuple(items))
 
     @classmethod
     def of_manifest(cls, path: Path, split: str) -> Items:
@@ -140,7 +112,7 @@ class Items:
         return cls(path, split, items, aside, tuple(others))
 
     @property
-    def training(self) -> tuple[_ManifestItem, ...]:
+    def training(self) -> tuple[Item, ...]:
         """Items with motion of the manifest's training split, if `split` is another one."""
         return tuple(item for item in self.others if item.split == "train")
 
@@ -154,37 +126,28 @@ class Items:
         return f"split {self.split} of {self.path}" if self.split else str(self.path)
 
 
-@dataclass(frozen=True, kw_only=True)
-class BareItem:
-    """Motion without a manifest, with the fields of a manifest's item."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BareItem(Item):
+    """Whole motion without a manifest: of a file with reading options, or made when it is needed.
 
-    id: str
-    motion: Path | None = None
+    Attributes:
+        make: makes the motion; None reads the file.
+    """
+
     audio: Path | None = None
-    speaker: str | None = None
-    style: str | None = None
-    take: str = ""
-    split: str = ""
-    motion_start: float = 0.0
+    motion: Path | None = None
     duration: float = math.inf
+    split: str = ""
+    make: Callable[[], Motion] | None = None
 
-    def load_wave(self) -> Wave:
-        """Refuse: there is no sound.
+    def __post_init__(self) -> None:
+        """Accept a length, split and take that are not known."""
 
-        Raises:
-            CorpusError: always.
-        """
-        raise CorpusError(f"{self.motion or self.id}: no sound goes with it")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _File(BareItem):
-    """A motion file with reading options."""
-
-    motion: Path
-    reading: Mapping[str, Any]
-
-    def load_motion(self) -> Motion:
+    def load_motion(self, parts: Mapping[str, str] | None = None) -> Motion:
+        """Read or make the motion."""
+        if self.make is not None:
+            return self.make()
+        assert self.motion is not None
         return load(self.motion, self.reading)
 
 
@@ -276,27 +239,23 @@ def find_pairs(
     Raises:
         CorpusError: a missing or empty folder, or no clip that has a recording.
     """
-    made = motion_files(generated)
-    recorded = recordings(reference)
+    made, recorded = motion_files(generated), recordings(reference)
     sounds: Mapping[str, Path | ItemInterval]
     if isinstance(reference, Items) and audio is None:
-        items = {key: s for key, s in recorded.items() if isinstance(s, ItemInterval)}
-        sounds = {key: s for key, s in items.items() if s.item.audio is not None}
+        sounds = {key: s for key, s in reference.intervals.items() if s.item.audio is not None}
     else:
         sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
     found = Pairs()
     for name, stem, window in _matched(made, recorded, reference, found):
         sound, track = file_of(stem, sounds, audio), file_of(stem, tracks, semantic)
-        pair = Pair(name, stem, window, made[name], recorded[stem], sound, track)
-        found.pairs.append(pair)
-    if not found.pairs:
-        raise _no_pair(generated, made, reference, recorded, found)
-    if sounds and not any(pair.audio for pair in found.pairs):
-        raise CorpusError(
-            f"{audio}: none of its sounds ({_some(sounds)}) has the name of a recording "
-            f"({_some(recorded)})"
-        )
+        found.pairs.append(Pair(name, stem, window, made[name], recorded[stem], sound, track))
+    problem = "" if found.pairs else _no_pair(generated, made, reference, recorded, found)
+    if found.pairs and sounds and not any(pair.audio for pair in found.pairs):
+        names = f"({listed([*sounds], 3)}) has the name of a recording ({listed([*recorded], 3)})"
+        problem = f"{audio}: none of its sounds {names}"
+    if problem:
+        raise CorpusError(problem)
     found.pairs.sort(key=lambda pair: (pair.stem, pair.name))
     stems = dict.fromkeys(pair.stem for pair in found.pairs)
     if isinstance(reference, Items) and reference.split:
@@ -321,16 +280,16 @@ def _no_pair(
     reference: Path | Items,
     recorded: Mapping[str, Path | ItemInterval],
     found: Pairs,
-) -> CorpusError:
+) -> str:
     """Return the error for clips of which none has a recording."""
     if found.notes and not found.excluded:
-        return CorpusError(f"{generated}: nothing to measure: {'; '.join(found.notes)}")
+        return f"{generated}: nothing to measure: {'; '.join(found.notes)}"
     from_manifest = isinstance(reference, Items) and bool(reference.split)
     are_items = not from_manifest and any(map(_CUT.search, made))
     advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
-    return CorpusError(
-        f"{generated}: of {counted(len(made), 'clip')} ({_some(made)}) none has a recording "
-        f"of its name in {reference} ({_some(recorded)}); give them the same names, with "
+    return (
+        f"{generated}: of {counted(len(made), 'clip')} ({listed([*made], 3)}) none has a recording "
+        f"of its name in {reference} ({listed([*recorded], 3)}); give them the same names, with "
         f"_s1, _s2 ... for samples{advice}"
     )
 
@@ -342,24 +301,22 @@ def _matched(
     found: Pairs,
 ) -> Iterator[tuple[str, str, int | None]]:
     """Yield (clip, its recording, window) of each clip; add the other clips to `found`."""
-    lookup = _Lookup(recorded)
     reasons = reference.aside if isinstance(reference, Items) else {}
     path = reference if isinstance(reference, Path) else reference.path
-    is_one_file = path.is_file() and path.suffix.lower() in _MOTION
-    not_measured = _Lookup(reasons)
-    aside: dict[str, list[str]] = defaultdict(list)
+    if path.is_file() and path.suffix.lower() in _MOTION:
+        yield from ((name, next(iter(recorded)), None) for name in made)
+        return
+    by_stem, not_measured = _by_stem(recorded), _by_stem(reasons)
+    aside: list[tuple[str, str]] = []
     for name in made:
-        if is_one_file:
-            yield name, next(iter(recorded)), None
-            continue
-        stem, window, reason = lookup(name)
+        stem, window, reason = _recording_of(name, recorded, by_stem)
         if stem is not None:
             yield name, stem, window
-        elif (item := not_measured(name)[0]) is not None:
-            aside[reasons[item]].append(name)
+        elif (item := _recording_of(name, reasons, not_measured)[0]) is not None:
+            aside.append((reasons[item], name))
         else:
             found.excluded.append(Excluded(name, reason))
-    for reason, names in sorted(aside.items()):
+    for reason, names in sorted(grouped(aside).items()):
         what = "whose items have no motion" if reason == "no motion" else f"of {reason}"
         found.notes.append(
             f"{counted(len(names), 'clip')} {what} in {path}, not measured: {listed(names, 3)}"
@@ -404,52 +361,53 @@ def files_by_key(path: Path, suffixes: tuple[str, ...], what: str) -> dict[str, 
     Raises:
         CorpusError: no such folder or file, one of another kind, or none inside.
     """
-    path = Path(path)
-    if path.is_file():
-        if path.suffix.lower() not in suffixes:
-            raise CorpusError(f"{path}: no {what} file; expected {', '.join(suffixes)}")
-        return {path.stem: path}
-    if not path.is_dir():
-        raise CorpusError(f"{path}: no such file or folder; give a folder of {what} files")
-    by_suffix: dict[str, dict[str, Path]] = {suffix: {} for suffix in reversed(suffixes)}
-    for _, _, below in visible_folders(path):
-        for file in below:
-            if (suffix := file.suffix.lower()) in by_suffix:
-                by_suffix[suffix][file.relative_to(path).with_suffix("").as_posix()] = file
-    found = {key: file for files in by_suffix.values() for key, file in files.items()}
+    root, files = path.parent, [path] if path.is_file() else []
+    if path.is_dir():
+        root, files = path, [file for _, _, below in visible_folders(path) for file in below]
+    files = [file for file in files if file.suffix.lower() in suffixes]
+    files.sort(key=lambda file: -suffixes.index(file.suffix.lower()))  # the last one counts
+    found = {file.relative_to(root).with_suffix("").as_posix(): file for file in files}
     if not found:
-        raise CorpusError(
-            f"{path}: no {what} files ({', '.join(suffixes)}) in this folder; is it the right one?"
-        )
+        kinds = ", ".join(suffixes)
+        problem = f"no such file or folder; give a folder of {what} files"
+        if path.is_file():
+            problem = f"no {what} file; expected {kinds}"
+        elif path.is_dir():
+            problem = f"no {what} files ({kinds}) in this folder; is it the right one?"
+        raise CorpusError(f"{path}: {problem}")
     return dict(sorted(found.items()))
 
 
-class _Lookup:
-    """Finds the recording of a generated clip by its name."""
+def grouped(pairs: Iterable[tuple[_Key, Source]]) -> dict[_Key, list[Source]]:
+    """Return {key: its values, in order} of (key, value)."""
+    groups: dict[_Key, list[Source]] = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
 
-    def __init__(self, recorded: Mapping[str, object]) -> None:
-        self.recorded = recorded
-        self.by_stem: dict[str, list[str]] = defaultdict(list)
-        for key in recorded:
-            self.by_stem[key.rpartition("/")[2]].append(key)
 
-    def __call__(self, name: str) -> tuple[str | None, int | None, str]:
-        """Return (key of the recording or None, window, reason why none was found)."""
-        sample = _SAMPLE.sub("", name)
-        window = _WINDOW.search(sample)
-        names: list[tuple[str, int | None]] = [(name, None), (sample, None)]
-        if window:
-            names.append((sample[: window.start()], int(window[1])))
-        for key, index in names:
-            if key in self.recorded:
-                return key, index, ""
-            fitting = self.by_stem.get(key.rpartition("/")[2], [])
-            if len(fitting) == 1:
-                return fitting[0], index, ""
-            if fitting:
-                return None, None, f"several recordings fit it: {', '.join(fitting)}"
-        hint = did_you_mean(sample, self.recorded, "; did you mean {}?")
-        return None, None, f"no recording of its name{hint}"
+def _by_stem(keys: Iterable[str]) -> dict[str, list[str]]:
+    """Return {last part of a key: the keys that end in it}."""
+    return grouped((key.rpartition("/")[2], key) for key in keys)
+
+
+def _recording_of(
+    name: str, recorded: Collection[str], by_stem: Mapping[str, Sequence[str]]
+) -> tuple[str | None, int | None, str]:
+    """Return (key of a clip's recording or None, window, reason why none was found)."""
+    sample = _SAMPLE.sub("", name)
+    window = _WINDOW.search(sample)
+    names: list[tuple[str, int | None]] = [(name, None), (sample, None)]
+    if window:
+        names.append((sample[: window.start()], int(window[1])))
+    for key, index in names:
+        fitting = [key] if key in recorded else by_stem.get(key.rpartition("/")[2], [])
+        if len(fitting) == 1:
+            return fitting[0], index, ""
+        if fitting:
+            return None, None, f"several recordings fit it: {', '.join(fitting)}"
+    hint = did_you_mean(sample, recorded, "; did you mean {}?")
+    return None, None, f"no recording of its name{hint}"
 
 
 def file_of(stem: str, files: Mapping[str, Source], given: Path | None) -> Source | Path | None:
@@ -461,8 +419,3 @@ def file_of(stem: str, files: Mapping[str, Source], given: Path | None) -> Sourc
     last = stem.rpartition("/")[2]
     fitting = [path for key, path in files.items() if key.rpartition("/")[2] == last]
     return fitting[0] if len(fitting) == 1 else None
-
-
-def _some(names: Collection[str], most: int = 3) -> str:
-    shown = ", ".join(list(names)[:most])
-    return shown if len(names) <= most else f"{shown}, ..."

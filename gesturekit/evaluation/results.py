@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.metadata
+import functools
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from audio_features.archive import read_bytes
 from audio_features.atomic import write_text
+from audio_features.kinds import installed_versions
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram
@@ -115,12 +118,6 @@ class GroupLikeness:
     without_reference: tuple[float, ...] = ()
     pieces: bool = False
 
-    @classmethod
-    def from_json(cls, **values: Any) -> GroupLikeness:
-        """Return the likeness that `dataclasses.asdict` described."""
-        tuples = {name: tuple(values[name]) for name in ("takes", "without_reference")}
-        return cls(**{**values, **tuples})
-
 
 @dataclass
 class ClipResult:
@@ -216,13 +213,34 @@ class MetricResult:
             "recording_high": own.get("high"),
         }
 
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> MetricResult:
-        """Return the result that `dataclasses.asdict` described."""
-        kinds = {"interval": Interval, "recording_interval": Interval, "ceiling": Level}
-        found = {k: kinds[k](**v) if k in kinds and v else v for k, v in values.items()}
-        several = (("floors", Level), ("groups", GroupLikeness.from_json))
-        return cls(**found | {k: tuple(of(**v) for v in values.get(k, ())) for k, of in several})
+
+_hints: Callable[[Any], dict[str, Any]] = functools.cache(get_type_hints)
+
+
+def restored(kind: Any, values: Any) -> Any:
+    """Return a value of a type from the plain values that `dataclasses.asdict` and JSON made of it.
+
+    Args:
+        kind: a record, or a type of records, lists, mappings, arrays and plain values.
+        values: plain values; None stays None.
+    """
+    kinds = get_args(kind)
+    if values is None or kind is Any:
+        return values
+    if isinstance(kind, UnionType):
+        return restored(kinds[0], values)
+    if hasattr(kind, "from_json"):
+        return kind.from_json(values)
+    if isinstance(kind, type) and is_dataclass(kind):
+        return kind(**{name: restored(_hints(kind)[name], v) for name, v in values.items()})
+    if kind is np.ndarray:
+        return np.array(values)
+    if isinstance(values, dict):
+        return {key: restored(kinds[1], value) for key, value in values.items()}
+    if isinstance(values, list) and get_origin(kind) is tuple:
+        kinds = kinds if kinds[-1] is not Ellipsis else [kinds[0]] * len(values)
+        return tuple(map(restored, kinds, values))
+    return [restored(kinds[0], v) for v in values] if isinstance(values, list) else values
 
 
 @dataclass(frozen=True)
@@ -346,13 +364,8 @@ class ModelResult:
 
 def library_versions() -> dict[str, str]:
     """Return {library: version} of the libraries that the metrics depend on."""
-    versions = {}
-    for name in ("gesturekit", "numpy", "scipy", "scikit-learn", "librosa"):
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed as a package"
-    return versions
+    names = ("gesturekit", "numpy", "scipy", "scikit-learn", "librosa")
+    return dict.fromkeys(names, "not installed as a package") | installed_versions(names)
 
 
 @dataclass
@@ -470,21 +483,15 @@ def read_results(path: Path) -> dict[str, Any]:
     Raises:
         EvaluationError: it cannot be read, is no such file, or is of a newer format.
     """
+    content, problem = read_bytes(path, _MOST_BYTES, EvaluationError), ""
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise EvaluationError(f"{path}: too large for results of evaluate")
-        values = json.loads(path.read_text(encoding="utf-8"))
-        written = values["format"]
-        if isinstance(written, int) and written > FORMAT:
-            raise EvaluationError(
-                f"{path}: format {written} is newer than this gesturekit's ({FORMAT}); update it"
-            )
+        values = json.loads(content)
+        if isinstance(written := values["format"], int) and written > FORMAT:
+            problem = f"format {written} is newer than this gesturekit's ({FORMAT}); update it"
         for model in values["models"]:
-            for figure in model["figures"].values():
-                float(figure["value"])
-            str(model["label"])
-    except EvaluationError:
-        raise
-    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
-        raise EvaluationError(f"{path}: not a file of evaluate --json ({error})") from error
+            _ = str(model["label"]), [float(f["value"]) for f in model["figures"].values()]
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        problem = problem or f"not a file of evaluate --json ({error})"
+    if problem:
+        raise EvaluationError(f"{path}: {problem}")
     return values

@@ -156,7 +156,7 @@ def measured(pair_of_files, tmp_path_factory):
 
     def measure(motion: Motion) -> dict[str, float]:
         clip = Clip(pair, motion, recording, joints, read_semantic(table), ())
-        return metrics.generated(clip)[0]
+        return metrics.generated(clip).values
 
     return measure
 

@@ -14,8 +14,9 @@ from sklearn.neighbors import NearestNeighbors
 from gesturekit.corpus import Item, Manifest
 from gesturekit.evaluation import Clip, ClipMetrics, Pair, Variants, evaluate, motion_windows
 from gesturekit.evaluation.definitions import MOVEMENT, POOLED
-from gesturekit.evaluation.made_motion import chosen_frames, halved, held, turned
 from gesturekit.evaluation.measuring.clip_metrics import ReferenceStatistics
+from gesturekit.evaluation.measuring.clips import chosen_frames
+from gesturekit.evaluation.measuring.made_motion import halved, held, turned
 from gesturekit.evaluation.results import OTHER_SPEAKER, MetricResult
 from gesturekit.evaluation.statistics.likeness import Relative, credits, relative
 from gesturekit.evaluation.statistics.model_metrics import MEAN_POSE
@@ -70,7 +71,7 @@ def backwards(motion: Motion) -> Motion:
 @cache
 def values_of(motion: Motion, recording: Motion) -> dict[str, float]:
     pair, joints = Pair("", "", None, Path(), Path()), body_joints(recording.skeleton)
-    return MEASURE.generated(Clip(pair, motion, recording, joints, None, ()))[0]
+    return MEASURE.generated(Clip(pair, motion, recording, joints, None, ())).values
 
 
 def credits_of(

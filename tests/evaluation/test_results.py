@@ -24,6 +24,7 @@ from gesturekit.evaluation import (
 )
 from gesturekit.evaluation.comparison import EvaluationOptions
 from gesturekit.evaluation.report.page import without_folders
+from gesturekit.evaluation.results import restored
 
 
 @pytest.mark.parametrize(
@@ -55,9 +56,9 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
     interval, own = Interval(0.5, 0.4, 0.6, 6, 5, "takes"), Interval(0.7, 0.6, 0.8, 6, 6, "takes")
     ceiling, floor = Level("own", 0.9, 0.1, 4), Level("other", 0.2, None, 1, True)
     sync = MetricResult("sync", interval, 0.7, 0.1, 0.2, "note", own, False, ceiling, (floor,))
-    assert MetricResult.from_json(json.loads(json.dumps(asdict(sync)))) == sync
+    assert restored(MetricResult, json.loads(json.dumps(asdict(sync)))) == sync
     plain = MetricResult("reach", Interval(1.0, None, None, 3, 1, "the whole set"))
-    assert MetricResult.from_json(json.loads(json.dumps(asdict(plain)))) == plain
+    assert restored(MetricResult, json.loads(json.dumps(asdict(plain)))) == plain
     clip = ClipResult(Pair("x_w002", "x", 2, Path("a"), Path("b")), 1.23456789, {"sync": 0.5},
                       {"sync": 0.7}, {"sync": 0.1}, ("odd",))  # fmt: skip
     model = ModelResult(

@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from gesturekit.evaluation.measuring.samples import MotionSample
+from gesturekit.evaluation.measuring.clips import MotionSample
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.motion import Motion, Skeleton
 

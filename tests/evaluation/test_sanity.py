@@ -10,7 +10,7 @@ import soundfile
 from audio_features import Wave
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation import DEFINITIONS, Interval, MetricResult, ModelResult, arm_speed
-from gesturekit.evaluation.made_motion import bad_motion
+from gesturekit.evaluation.measuring.made_motion import bad_motion
 from gesturekit.evaluation.report.sanity import (
     conclusion,
     mark,

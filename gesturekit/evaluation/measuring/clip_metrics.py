@@ -6,7 +6,6 @@ A metric is a function in `metrics` whose parameters are inputs by name.
 from __future__ import annotations
 
 import functools
-import hashlib
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +18,6 @@ from audio_features import AudioFeaturesError
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
-    GROUPS,
     MOVEMENT,
     POOLED,
     SPEECH,
@@ -38,15 +36,48 @@ from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.mouth import mouth_opening
 from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
 from gesturekit.evaluation.metrics.sync import hardly_moves
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair
+from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, grouped
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import body_joints
 
-Values = dict[str, float]
-"""{key of `definitions`: value}"""
-Problems = list[tuple[str, str]]
-"""(key, reason) of metrics that could not be computed."""
+
+@dataclass
+class Values:
+    """Metrics of one motion.
+
+    Attributes:
+        values: {key of `definitions`: value}, and KEY_chance and KEY_z of speech metrics.
+        problems: (key, reason) of metrics that could not be computed.
+    """
+
+    values: dict[str, float] = field(default_factory=dict)
+    problems: list[tuple[str, str]] = field(default_factory=list)
+
+    def add(self, definition: Definition, *sources: object) -> Any | None:
+        """Compute a metric, or several of one function, and return the function's result.
+
+        An error becomes a problem, and the result None.
+
+        Args:
+            definition: of a metric with a function.
+            sources: see `compute`.
+        """
+        try:
+            result = compute(definition, *sources)
+        except (GestureKitError, AudioFeaturesError) as error:
+            if definition.group != POOLED:  # the pooled metric says what is missing, and why
+                self.problems.append((definition.key, str(error)))
+            return None
+        if isinstance(result, Mapping):
+            self.values |= {key: float(v) for key, v in result.items() if np.isfinite(v)}
+        elif result is not None:
+            value = definition.factor * float(np.mean(getattr(result, "value", result)))
+            if np.isfinite(value):
+                self.values[definition.key] = value
+            else:
+                self.problems.append((definition.key, "came out as no number"))
+        return result
 
 
 @dataclass
@@ -68,11 +99,9 @@ class ReferenceStatistics:
     @classmethod
     def of(cls, recordings: Mapping[str, Path | ItemInterval], fps: float) -> ReferenceStatistics:
         """Compute the statistics of recordings; leave out rigs that differ from the first one."""
-        statistics = cls()
-        joints: tuple[str, ...] = ()
-        sums: dict[str, tuple[float, int]] = {}
+        found, limits, joints = cls(), LimitsFit(), tuple[str, ...]()
+        sums, n_frames = np.zeros(1), 0
         roots: set[str] = set()  # they turn with the whole body
-        limits = LimitsFit()
         for key, path in recordings.items():
             try:
                 motion = load_recording(path, fps)
@@ -81,41 +110,29 @@ class ReferenceStatistics:
                     raise EvaluationError("its rig differs from that of the first recording")
                 speed = rhythm.central_speed(motion, joints)
             except GestureKitError as error:
-                statistics.excluded.append(Excluded(key, str(error), "the set of recordings"))
+                found.excluded.append(Excluded(key, str(error), "the set of recordings"))
                 continue
-            statistics.recordings.append(key)
+            found.recordings.append(key)
             roots |= {motion.skeleton.names[0], *motion.joint_translations}
             limits.add(motion, joints)
-            for name, column in zip(joints, speed.T, strict=True):
-                total, count = sums.get(name, (0.0, 0))
-                sums[name] = total + float(column.sum()), count + len(column)
-        statistics.mean_speed = {name: total / count for name, (total, count) in sums.items()}
-        turning = [name for name in joints if name not in roots]
-        if statistics.recordings and turning:
-            statistics.limits = limits.result().of_joints(turning)
-        return statistics
-
-    def digest(self) -> str:
-        """Return a digest of the statistics, which are a part of every clip's measurement."""
-        found = hashlib.sha256(repr(sorted(self.mean_speed.items())).encode())
-        if self.limits is not None:
-            found.update(repr(self.limits.joints).encode())
-            for values in (self.limits.mean, self.limits.low, self.limits.high):
-                found.update(np.ascontiguousarray(values).data)
-        return found.hexdigest()
+            sums = sums + [column.sum() for column in speed.T]
+            n_frames += len(speed)
+        if found.recordings:
+            found.mean_speed = dict(zip(joints, (sums / n_frames).tolist()))
+            if turning := [name for name in joints if name not in roots]:
+                found.limits = limits.result().of_joints(turning)
+        return found
 
 
 @dataclass(eq=False)
 class ClipInputs:
     """Inputs of the metrics of one motion of a clip, computed when a metric names them.
 
-    Fields of the clip, the statistics and the variants are inputs as well.
-
     Attributes:
         motion: the motion that is measured: that of the clip, or its recording.
-        clip: the clip.
-        statistics: of all recordings.
-        variants: variants of the metrics.
+        clip: the clip; its fields are inputs as well.
+        statistics: of all recordings; their fields are inputs as well.
+        variants: variants of the metrics, by name.
     """
 
     motion: Motion
@@ -124,14 +141,9 @@ class ClipInputs:
     variants: Variants
 
     @property
-    def duration(self) -> float:
-        """Length of the motion, seconds."""
-        return self.motion.duration
-
-    @property
-    def fps(self) -> float:
-        """Frames per second of the motion and the recording."""
-        return self.motion.fps
+    def sources(self) -> tuple[object, ...]:
+        """Objects whose attributes are the inputs, the first that has one of a name."""
+        return self, self.clip, self.statistics, self.variants, self.motion
 
     @property
     def mouth(self) -> np.ndarray | None:
@@ -144,9 +156,9 @@ class ClipInputs:
         return mouth_opening(self.clip.recording)
 
     @property
-    def sources(self) -> tuple[object, ...]:
-        """Objects whose attributes are the inputs, the first that has one of a name."""
-        return self, self.clip, self.statistics, self.variants
+    def frame_rate(self) -> float | None:
+        """Frames per second, for the variant of beat alignment that counts frames."""
+        return self.motion.fps if self.variants.bas == "bailando" else None
 
     @functools.cached_property
     def heights(self) -> np.ndarray:
@@ -158,11 +170,6 @@ class ClipInputs:
         alike = self.clip.same_body and len({len(foot_points(rig)) for rig in rigs}) == 1
         return standing_heights(self.clip.recording if alike else self.motion)
 
-    @property
-    def frame_rate(self) -> float | None:
-        """Frames per second, for the variant of beat alignment that counts frames."""
-        return self.motion.fps if self.variants.bas == "bailando" else None
-
     @functools.cached_property
     def beats(self) -> np.ndarray:
         """Beats (M,) of the motion, seconds."""
@@ -171,11 +178,10 @@ class ClipInputs:
     @functools.cached_property
     def beats_by_joint(self) -> list[np.ndarray]:
         """Beats (M,) of each joint of the upper body, seconds."""
-        upper = upper_joints(self.clip.recording.skeleton)
+        upper, mean_speed = upper_joints(self.clip.recording.skeleton), self.statistics.mean_speed
         joints = [name for name in self.clip.joints if name in upper]
-        mean_speed, usual = self.statistics.mean_speed, None
-        if set(joints) <= set(mean_speed):
-            usual = np.array([mean_speed[name] for name in joints])
+        known = set(joints) <= set(mean_speed)
+        usual = np.array([mean_speed[name] for name in joints]) if known else None
         return rhythm.joint_beats(self.motion, mean_speed=usual, joints=joints)
 
 
@@ -189,16 +195,12 @@ def compute(definition: Definition, *sources: object) -> Any | None:
     Raises:
         GestureKitError, AudioFeaturesError: the metric cannot be computed.
     """
-    function = definition.load_function()
-    parameters = inspect.signature(function).parameters
-    arguments = dict(definition.arguments)
-    for name, parameter in parameters.items():
+    function, arguments = definition.load_function(), dict(definition.arguments)
+    for name, parameter in inspect.signature(function).parameters.items():
         source = next((s for s in sources if name in vars(s) or hasattr(type(s), name)), None)
-        needed = parameter.default is parameter.empty
-        if name in arguments or (source is None and not needed):
-            continue
-        arguments[name] = getattr(source, name)
-        if arguments[name] is None and needed:
+        if name not in definition.arguments and source is not None:
+            arguments[name] = getattr(source, name)
+        if parameter.default is parameter.empty and arguments.get(name) is None:
             return None
     return function(**arguments)
 
@@ -219,46 +221,41 @@ class ClipMetrics:
     variants: Variants
     cheap: bool = False
 
-    def generated(self, clip: Clip) -> tuple[Values, Problems]:
+    def generated(self, clip: Clip) -> Values:
         """Compute all metrics of the generated motion."""
-        out = _Collected()
         inputs = self._inputs(clip, clip.generated)
-        self._own(out, inputs)
-        self._comparison(out, inputs)
-        return out.values, out.problems
+        found = self._own(inputs)
+        self._compare(found, inputs)
+        return found
 
-    def against(self, clip: Clip) -> Values:
+    def against(self, clip: Clip) -> dict[str, float]:
         """Compute the metrics that compare the motion of a clip with its recording."""
-        out = _Collected()
-        self._comparison(out, self._inputs(clip, clip.generated))
-        return out.values
+        found = Values()
+        self._compare(found, self._inputs(clip, clip.generated))
+        return found.values
 
-    def recording(self, clip: Clip) -> tuple[Values, Problems]:
+    def recording(self, clip: Clip) -> dict[str, float]:
         """Compute the metrics of the recording itself: the goal, or the upper bound."""
-        out = _Collected()
-        self._own(out, self._inputs(clip, clip.recording))
-        return out.values, out.problems
+        return self._own(self._inputs(clip, clip.recording)).values
 
-    def mismatched_sound(self, clip: Clip, sounds: Sequence[RecordedSound]) -> Values:
+    def mismatched_sound(self, clip: Clip, sounds: Sequence[RecordedSound]) -> dict[str, float]:
         """Average the speech metrics of the generated motion over other recordings' sounds."""
-        every: dict[str, list[float]] = {}
-        inputs = self._inputs(clip, clip.generated)
+        inputs, every = self._inputs(clip, clip.generated), list[tuple[str, float]]()
         for sound in sounds:
-            out = _Collected()
-            self._speech(out, inputs, sound)
-            for key, value in out.values.items():
-                every.setdefault(key, []).append(value)
-        return {key: float(np.mean(values)) for key, values in every.items()}
+            found = Values()
+            self._speech(found, inputs, sound)
+            every += found.values.items()
+        return {key: float(np.mean(values)) for key, values in grouped(every).items()}
 
-    def mismatched_motion(self, clip: Clip, other: Motion) -> Values:
+    def mismatched_motion(self, clip: Clip, other: Motion) -> dict[str, float]:
         """Compute the metrics that are also taken with another recording (CCA)."""
-        out = _Collected()
+        found = Values()
         if set(clip.joints) <= set(other.skeleton.names):
             inputs = self._inputs(replace(clip, recording=other), clip.generated)
             for definition in self._chosen("comparison"):
                 if definition.mismatched:
-                    out(definition, inputs)
-        return out.values
+                    found.add(definition, *inputs.sources)
+        return found.values
 
     def _inputs(self, clip: Clip, motion: Motion) -> ClipInputs:
         return ClipInputs(motion, clip, self.statistics, self.variants)
@@ -271,70 +268,45 @@ class ClipMetrics:
                 chosen.setdefault((d.function, repr(d.arguments)), d)
         return list(chosen.values())
 
-    def _own(self, out: _Collected, inputs: ClipInputs) -> None:
-        """Compute the metrics of one motion, and of it with its sound."""
-        for group in (MOVEMENT, *(group for group in GROUPS if group != MOVEMENT)):
+    def _own(self, inputs: ClipInputs) -> Values:
+        """Compute the metrics of one motion, and of it with its sound, after those of movement."""
+        found, pair = Values(), inputs.clip.pair
+        for is_movement in (True, False):
             for definition in self._chosen("motion"):
-                if definition.taken_with == group:
-                    out(definition, inputs)
-            if group == SPEECH and SPEECH in self.groups and inputs.clip.pair.audio is not None:
+                if is_movement == (definition.taken_with == MOVEMENT):
+                    found.add(definition, *inputs.sources)
+            if is_movement and SPEECH in self.groups and pair.audio is not None:
                 try:
-                    sound = load_sound(inputs.clip.pair.audio, inputs.clip.pair.window)
+                    self._speech(found, inputs, load_sound(pair.audio, pair.window))
                 except AudioFeaturesError as error:
-                    out.problems.append(("speech", str(error)))
-                else:
-                    self._speech(out, inputs, sound)
+                    found.problems.append(("speech", str(error)))
+        return found
 
-    def _comparison(self, out: _Collected, inputs: ClipInputs) -> None:
+    def _compare(self, found: Values, inputs: ClipInputs) -> None:
         # The metric of speech, SRGR, is last: few recordings have its track.
         for definition in sorted(self._chosen("comparison"), key=lambda d: d.group == SPEECH):
-            out(definition, inputs)
+            found.add(definition, *inputs.sources)
 
-    def _speech(self, out: _Collected, inputs: ClipInputs, sound: RecordedSound) -> None:
-        results = {d.key: out(d, inputs, sound) for d in self._chosen("sound")}
+    def _speech(self, found: Values, inputs: ClipInputs, sound: RecordedSound) -> None:
+        sources = *inputs.sources, sound
+        results = {d.key: found.add(d, *sources) for d in self._chosen("sound")}
         synced = results.get("sync")
         if synced is not None and not (synced.note and synced.r):  # else its chance is unknown
-            out.values["in_time"] = synced.r - synced.chance_mean
+            found.values["in_time"] = synced.r - synced.chance_mean
         elif synced is None and hardly_moves(inputs.motion, inputs.clip.recording):
-            out.values["in_time"] = 0.0
+            found.values["in_time"] = 0.0
         for key, result in results.items():
-            if result is None:
-                continue
-            out.values[f"{key}_chance"] = result.chance_mean
-            out.values[f"{key}_z"] = result.z
-            if result.note:
-                out.problems.append((key, result.note))
-
-
-class _Collected:
-    """Metrics computed so far, and the reasons for those that failed."""
-
-    def __init__(self) -> None:
-        self.values: Values = {}
-        self.problems: Problems = []
-
-    def __call__(
-        self, definition: Definition, inputs: ClipInputs, *sound: RecordedSound
-    ) -> Any | None:
-        """Compute a metric, or several of one function; turn an error into a problem."""
-        try:
-            result = compute(definition, *inputs.sources, *sound)
-        except (GestureKitError, AudioFeaturesError) as error:
-            if definition.group != POOLED:  # the pooled metric says what is missing, and why
-                self.problems.append((definition.key, str(error)))
-            return None
-        if isinstance(result, Mapping):
-            self.values |= {key: float(v) for key, v in result.items() if np.isfinite(v)}
-        elif result is not None:
-            value = definition.factor * float(np.mean(getattr(result, "value", result)))
-            if np.isfinite(value):
-                self.values[definition.key] = value
-            else:
-                self.problems.append((definition.key, "came out as no number"))
-        return result
+            if result is not None:
+                found.values |= {f"{key}_chance": result.chance_mean, f"{key}_z": result.z}
+                found.problems += [(key, result.note)] if result.note else []
 
 
 _NAMELESS = Pair("clip", "clip", None, Path("clip"), Path("clip"))
+
+
+def nameless_clip(motion: Motion, recording: Motion) -> Clip:
+    """Return a clip of two motions of one rig, without files."""
+    return Clip(_NAMELESS, motion, recording, body_joints(recording.skeleton), None, ())
 
 
 def quick_metrics(generated: Sequence[Motion], recordings: Sequence[Motion]) -> dict[str, float]:
@@ -348,13 +320,13 @@ def quick_metrics(generated: Sequence[Motion], recordings: Sequence[Motion]) -> 
         recordings: the same number of motions, of the same rig and frame rate.
     """
     measure = ClipMetrics(ReferenceStatistics(), (MOVEMENT,), Variants(), cheap=True)
-    every: dict[str, list[float]] = {}
+    every: list[tuple[str, float]] = []
     for motion, recording in zip(generated, recordings, strict=True):
-        clip = Clip(_NAMELESS, motion, recording, body_joints(recording.skeleton), None, ())
-        own = measure.recording(clip)[0]
-        for key, value in measure.generated(clip)[0].items():
+        clip = nameless_clip(motion, recording)
+        own = measure.recording(clip)
+        for key, value in measure.generated(clip).values.items():
             if DEFINITIONS[key].better != "reference":
-                every.setdefault(key, []).append(value)
+                every.append((key, value))
             elif own.get(key):
-                every.setdefault(f"{key}_ratio", []).append(value / own[key])
-    return {key: float(np.mean(values)) for key, values in every.items()}
+                every.append((f"{key}_ratio", value / own[key]))
+    return {key: float(np.mean(values)) for key, values in grouped(every).items()}

@@ -1,22 +1,27 @@
-"""Clips in memory: a motion and its recording on one rig, at one frame rate, with their sound."""
+"""Motion in memory: clips with their recording and sound, samples of sets, the training split.
+
+A clip is a motion and its recording on one rig, at one frame rate.
+"""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from audio_features import FeatureTrack, Wave
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.corpus.manifest import Item
+from gesturekit.errors import FormatError, GestureKitError, MotionError
 from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.hands import FPS
 from gesturekit.evaluation.metrics.mouth import with_mouth_alone
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, ItemInterval, Pair
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, ItemInterval, Pair
 from gesturekit.formats.tables import load_semantics
 from gesturekit.motion import Motion
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
@@ -24,12 +29,19 @@ from gesturekit.motion.parts import body_joints, find_legs, is_upper_body, leg_j
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.skeleton import Skeleton, forward_kinematics
+from gesturekit.motion.skeleton import forward_kinematics
 
 LENGTH_TOLERANCE = 0.1
 """Largest difference in length between a clip and its recording without a note, seconds."""
 STILL = 1e-4
 """m/s on the reference body; a frame stands still if no joint is faster."""
+
+MOST_BYTES = 300_000_000
+"""Memory of the rotations of a sample, at most: 70 minutes at 30 fps with 75 joints."""
+PIECE_SECONDS = 10.0
+"""Length of pieces that are drawn from larger sets, at least; shorter motions are one piece."""
+TRAINING_SECONDS = 1200.0
+"""Length of training motion that is compared with, at most; of more, items are drawn at random."""
 
 MATCHED = 0.5
 """Rigs match if at least this fraction of the recording's body joints is found by name."""
@@ -39,38 +51,27 @@ RETARGETED = "another rig: retargeted to the recording's before it was measured"
 """Note on a clip."""
 
 _SHORTEST = 0.01  # metres on the reference body; shorter bones differ by rounding
-_CACHED = 8  # semantic tracks kept in memory; samples of one recording are consecutive
-_CACHED_BYTES = 100_000_000  # of motions, and of sounds: 24 minutes of 75 joints, 26 of sound
+_CACHED_BYTES = 200_000_000  # of motions and sounds in memory: 24 minutes of 75 joints and of sound
+
+_T = TypeVar("_T")
+_Sliced = TypeVar("_Sliced", list[Any], np.ndarray)
+_kept: dict[Hashable, tuple[Any, int]] = {}  # (value, its bytes); the one used last is the last
 
 
-_Value = TypeVar("_Value")
+def _cached(key: Hashable, load: Callable[[], _T], size: Callable[[_T], int]) -> _T:
+    """Return the value of a key, which `load` makes unless it is among the last used ones."""
+    if key not in _kept:
+        value = load()
+        _kept[key] = value, size(value)
+    _kept[key] = value, _ = _kept.pop(key)
+    while sum(n for _, n in _kept.values()) > _CACHED_BYTES:
+        del _kept[next(iter(_kept))]
+    return value
 
 
-class ByteCache(Generic[_Value]):
-    """Keeps the values that were used last, up to a number of bytes.
-
-    A value that is larger is not kept at all.
-
-    Args:
-        most: bytes to keep.
-        size: returns the bytes of a value.
-    """
-
-    def __init__(self, most: int, size: Callable[[_Value], int]) -> None:
-        self._most, self._size = most, size
-        self._values: dict[Hashable, _Value] = {}  # the value used last is the last
-
-    def get(self, key: Hashable, load: Callable[[], _Value]) -> _Value:
-        """Return the value of a key, which `load` makes unless it is kept."""
-        value = self._values.pop(key) if key in self._values else load()
-        self._values[key] = value
-        while self._values and sum(map(self._size, self._values.values())) > self._most:
-            del self._values[next(iter(self._values))]
-        return value
-
-    def clear(self) -> None:
-        """Forget all values."""
-        self._values.clear()
+def forget_files() -> None:
+    """Forget files in memory, which may have changed on disk since the last evaluation."""
+    _kept.clear()
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +94,6 @@ class Clip:
     semantic: FeatureTrack | None
     notes: tuple[str, ...]
 
-    @property
-    def n_frames(self) -> int:
-        """Number of common frames."""
-        return min(self.generated.n_frames, self.recording.n_frames)
-
     @functools.cached_property
     def same_body(self) -> bool:
         """True if the bone lengths of both bodies agree to 1 %."""
@@ -111,12 +107,12 @@ class Clip:
         return bool(np.allclose(own, other, rtol=0.01, atol=rounding))
 
 
-def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = frozenset()) -> Clip:
+def load_clip(pair: Pair, fps: float, without: frozenset[str] = frozenset()) -> Clip:
     """Read a pair, and bring the generated motion to the recording's rig (`matched`).
 
     Args:
         pair: from `find_pairs`.
-        fps: frame rate of both motions; None keeps that of the generated motion.
+        fps: frame rate of both motions.
         without: bare names of joints that other models lack, which are left out.
 
     Raises:
@@ -124,28 +120,26 @@ def load_clip(pair: Pair, fps: float | None = None, without: frozenset[str] = fr
             frame), or rigs that do not match.
         FeatureError: the semantic track cannot be read.
     """
-    generated = with_mouth_alone(read_motion(pair.generated))
-    rate = fps or generated.fps
-    recording = load_recording(pair.reference, rate)
-    notes = []
-    if generated.n_frames < 2:
-        raise FormatError(f"{pair.generated}: one frame; a motion to be measured has at least 2")
-    resampled = at_rate(generated, rate)
-    if resampled is not generated:
-        notes.append(f"resampled from {generated.fps:g} to {rate:g} fps")
-        generated = resampled
-    semantic = None if pair.semantic is None else _semantic(pair.semantic)
-    if pair.window is not None:
-        start = pair.window * WINDOW_SECONDS
-        recording = _window(recording, start, pair)
-        semantic = None if semantic is None else _later(semantic, start)
+    made, recording = _read(pair.generated), load_recording(pair.reference, fps)
+    generated = at_rate(made, fps)
+    notes = [] if generated is made else [f"resampled from {made.fps:g} to {fps:g} fps"]
+    semantic = None
+    if (path := pair.semantic) is not None:
+        semantic = _cached(path, lambda: read_semantic(path), lambda track: track.values.nbytes)
     try:
+        if pair.window is not None:
+            start = pair.window * WINDOW_SECONDS
+            first, n_frames = (round(time * recording.fps) for time in (start, WINDOW_SECONDS))
+            if recording.n_frames - first < 2:
+                raise MotionError(f"it ends before its window {pair.window} ({start:g} s) begins")
+            recording = recording[first : first + n_frames]
+            semantic = None if semantic is None else _later(semantic, start)
         joints, generated, remarks = matched(generated, recording)
+        joints = tuple(name for name in joints if without_namespace(name) not in without)
+        if len(joints) < 2:
+            raise MotionError("fewer than 2 joints are common to all models")
     except MotionError as error:
         raise MotionError(f"{pair.generated}: {pair.reference.name}: {error}") from None
-    joints = tuple(name for name in joints if without_namespace(name) not in without)
-    if len(joints) < 2:
-        raise MotionError(f"{pair.generated}: fewer than 2 joints are common to all models")
     return Clip(pair, generated, recording, joints, semantic, (*notes, *remarks))
 
 
@@ -172,11 +166,9 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
     legs = leg_joints(rig, find_legs(rig) or {}) if is_upper_body(motion.skeleton) else set()
     names = tuple(name for name in names if name not in legs)
     own = {without_namespace(name): name for name in reversed(motion.skeleton.names)}
-    renamed = {
-        own[without_namespace(name)]: name for name in names if without_namespace(name) in own
-    }
-    found = set(renamed.values())
-    joints = tuple(name for name in names if name in found)
+    bare = {name: without_namespace(name) for name in names}
+    renamed = {own[bare[name]]: name for name in names if bare[name] in own}
+    joints = tuple(name for name in names if name in renamed.values())
     by_name = len(joints) >= max(2, MATCHED * len(names))
     named = _renamed(motion, renamed) if by_name else motion
     notes = ["the generated rig has no legs"] if legs else []
@@ -188,17 +180,15 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
             return names, moved, [RETARGETED, *notes]
         except MotionError as error:
             if not by_name:
-                missing = [name for name in names if name not in found]
+                lost = ", ".join([name for name in names if name not in joints][:5])
                 raise MotionError(
                     f"rigs do not match: {len(joints)} of {len(names)} body joints of the "
-                    f"recording are found by name (missing: {', '.join(missing[:5])} ...), and it "
-                    f"cannot be retargeted: {error}"
+                    f"recording are found by name (missing: {lost} ...), and it cannot be "
+                    f"retargeted: {error}"
                 ) from None
             notes.append(f"another body, which cannot be retargeted ({error})")
-    if len(joints) < len(names):
-        notes.append(
-            f"{len(names) - len(joints)} of {len(names)} body joints are not in the generated rig"
-        )
+    if missing := len(names) - len(joints):
+        notes.append(f"{missing} of {len(names)} body joints are not in the generated rig")
     return joints, named, notes
 
 
@@ -232,16 +222,14 @@ def _same_bones(motion: Motion, recording: Motion, joints: tuple[str, ...]) -> b
         above = next((a for a in other.ancestors(j) if a in known), None)
         if above is not None and other.names[j] not in moving:
             pairs.append((other.names[above], other.names[j]))
-    own, wanted = _distances(one, pairs), _distances(other, pairs)
-    rounding = _SHORTEST * body_scale(other)
-    return bool(np.allclose(own, wanted, rtol=SAME_BONES, atol=rounding))
-
-
-def _distances(rig: Skeleton, pairs: list[tuple[str, str]]) -> np.ndarray:
-    rest = np.broadcast_to(IDENTITY, (rig.n_joints, 4))
-    places = forward_kinematics(rest, np.zeros(3), rig)
-    ends = np.array([[rig.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2)
-    return np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=-1)
+    lengths = []
+    for rig in (one, other):
+        rest = np.broadcast_to(IDENTITY, (rig.n_joints, 4))
+        places = forward_kinematics(rest, np.zeros(3), rig)
+        ends = np.array([[rig.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2)
+        lengths.append(np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=-1))
+    own, wanted = lengths
+    return bool(np.allclose(own, wanted, rtol=SAME_BONES, atol=_SHORTEST * body_scale(other)))
 
 
 def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
@@ -274,7 +262,9 @@ def load_recording(path: Path | ItemInterval, fps: float) -> Motion:
     Raises:
         FormatError, MotionError: the file cannot be read.
     """
-    return _motions.get((path, fps), lambda: _resampled(path, fps))
+    return _cached(
+        (path, fps), lambda: at_rate(_read(path), fps), lambda motion: motion.rotations.nbytes
+    )
 
 
 def load_wave(source: Path | ItemInterval) -> Wave:
@@ -286,17 +276,6 @@ def load_wave(source: Path | ItemInterval) -> Wave:
     return source.item.load_wave() if isinstance(source, ItemInterval) else Wave.load(source)
 
 
-def _window(recording: Motion, start: float, pair: Pair) -> Motion:
-    first = round(start * recording.fps)
-    stop = min(recording.n_frames, first + round(WINDOW_SECONDS * recording.fps))
-    if stop - first < 2:
-        raise MotionError(
-            f"{pair.generated}: {pair.reference.name} ends before its window {pair.window} "
-            f"({start:g} s) begins"
-        )
-    return recording[first:stop]
-
-
 def _later(track: FeatureTrack, start: float) -> FeatureTrack:
     keep = track.times >= start
     if not keep.any():
@@ -304,14 +283,11 @@ def _later(track: FeatureTrack, start: float) -> FeatureTrack:
     return FeatureTrack(track.values[keep], track.times[keep] - start, track.spec, track.names)
 
 
-def _resampled(path: Path | ItemInterval, fps: float) -> Motion:
+def _read(path: Path | ItemInterval) -> Motion:
     motion = with_mouth_alone(read_motion(path))
     if motion.n_frames < 2:
-        raise FormatError(f"{path.name}: one frame; a motion to be measured has at least 2")
-    return at_rate(motion, fps)
-
-
-_motions = ByteCache[Motion](_CACHED_BYTES, lambda motion: motion.rotations.nbytes)
+        raise FormatError(f"{path}: one frame; a motion to be measured has at least 2")
+    return motion
 
 
 def read_motion(path: Path | ItemInterval) -> Motion:
@@ -356,9 +332,6 @@ def read_semantic(path: Path) -> FeatureTrack:
     return FeatureTrack(values, times, {"kind": "semantic"}, ("score",))
 
 
-_semantic = functools.lru_cache(maxsize=_CACHED)(read_semantic)
-
-
 @dataclass(frozen=True, eq=False)
 class RecordedSound:
     """A recording's sound and its beats.
@@ -380,9 +353,6 @@ class RecordedSound:
         return music_beats(self.wave)
 
 
-_sounds = ByteCache[RecordedSound](_CACHED_BYTES, lambda sound: sound.wave.samples.nbytes)
-
-
 def load_sound(path: Path | ItemInterval, window: int | None) -> RecordedSound:
     """Read a sound, or one 10 s window of it; recent ones are in memory.
 
@@ -395,11 +365,169 @@ def load_sound(path: Path | ItemInterval, window: int | None) -> RecordedSound:
         at = None if window is None else window * WINDOW_SECONDS
         return RecordedSound(wave if at is None else wave.slice(at, WINDOW_SECONDS))
 
-    return _sounds.get((path, window), load)
+    return _cached(("sound", path, window), load, lambda sound: sound.wave.samples.nbytes)
 
 
-def forget_files() -> None:
-    """Forget files in memory, which may have changed on disk since the last evaluation."""
-    _motions.clear()
-    _semantic.cache_clear()
-    _sounds.clear()
+class MotionSample:
+    """Keeps all motions that are added; of more than `most` bytes, a random sample of pieces.
+
+    Each piece gets a random number from (seed, number of its motion). Pieces whose number is below
+    a threshold are kept, and the threshold is halved as long as they are too many: each piece of
+    the set is kept with the same probability. Samples of one seed keep the same pieces of motions
+    that are added in the same order, if they are equally large.
+
+    Args:
+        seed: seed of the random numbers.
+        most: bytes of rotations to keep.
+
+    Attributes:
+        count: number of motions that were added.
+        seconds: their length.
+    """
+
+    def __init__(self, seed: int, most: int = MOST_BYTES) -> None:
+        self.count = 0
+        self.seconds = 0.0
+        self._seed = seed
+        self._most = most
+        self._kept: list[_Piece] = []
+        self._bytes = 0
+        self._threshold = 1.0
+
+    def add(self, motion: Motion) -> None:
+        """Add a motion; only copies of its pieces are kept if the set is larger than the limit."""
+        piece: _Piece = (self.count, 0.0, motion)
+        self.count += 1
+        self.seconds += motion.duration
+        added = [piece] if self.is_whole else self._drawn([piece])
+        self._kept += added
+        self._bytes += _size(added)
+        while self._bytes > self._most:
+            whole = self.is_whole
+            self._threshold /= 2
+            below = [piece for piece in self._kept if piece[1] < self._threshold]
+            self._kept = self._drawn(self._kept) if whole else below
+            self._bytes = _size(self._kept)
+
+    @property
+    def is_whole(self) -> bool:
+        """True if all motion that was added is kept, uncut."""
+        return self._threshold == 1.0
+
+    @property
+    def motions(self) -> list[Motion]:
+        """The motions or pieces that are kept, in order."""
+        return [motion for _, _, motion in self._kept]
+
+    @property
+    def owners(self) -> list[int]:
+        """Number of the added motion, from 0, that each of `motions` is part of."""
+        return [owner for owner, _, _ in self._kept]
+
+    def _drawn(self, whole: Iterable[_Piece]) -> list[_Piece]:
+        """Cut motions into pieces; return copies of those below the threshold."""
+        kept = []
+        for owner, _, motion in whole:
+            count = max(1, int(motion.duration / PIECE_SECONDS))
+            ends = [i * motion.n_frames // count for i in range(count + 1)]
+            draws = np.random.default_rng([self._seed, owner]).random(count)
+            kept += [
+                (owner, draw, copied(motion, start, stop))
+                for start, stop, draw in zip(ends, ends[1:], draws.tolist())
+                if draw < self._threshold
+            ]
+        return kept
+
+
+_Piece = tuple[int, float, Motion]
+"""Number of a motion, random number, and the motion or piece of it."""
+
+
+def copied(motion: Motion, start_frame: int, stop_frame: int) -> Motion:
+    """Return a copy of some frames, which does not keep the whole motion in memory as a slice does.
+
+    Raises:
+        MotionError: the range is empty.
+    """
+    return chosen_frames(motion, np.arange(start_frame, min(stop_frame, motion.n_frames)))
+
+
+def chosen_frames(motion: Motion, frames: np.ndarray) -> Motion:
+    """Return chosen frames (T,) of a motion, in that order, at its frame rate."""
+    return replace(
+        motion,
+        rotations=motion.rotations[frames],
+        translation=motion.translation[frames],
+        joint_translations={name: v[frames] for name, v in motion.joint_translations.items()},
+        face=None,
+    )
+
+
+def _size(pieces: Iterable[_Piece]) -> int:
+    return sum(motion.rotations.nbytes for _, _, motion in pieces)
+
+
+@dataclass
+class TrainingMotion:
+    """Motion of the manifest's training split.
+
+    Attributes:
+        motions: at 25 fps; empty without such a split.
+        speakers: the speaker of each motion, if known.
+        note: "" or how much of the split is used.
+        excluded: items that cannot be read.
+    """
+
+    motions: list[Motion] = field(default_factory=list)
+    speakers: list[str | None] = field(default_factory=list)
+    note: str = ""
+    excluded: list[Excluded] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, training: Sequence[Item], seed: int) -> TrainingMotion:
+        """Read the items of the training split."""
+        found, items = cls(), list(training)
+        total = sum(item.duration for item in items)
+        if total > TRAINING_SECONDS:
+            np.random.default_rng(seed).shuffle(items)
+        left = TRAINING_SECONDS
+        for item in items:
+            if left < 1.0:
+                break
+            try:
+                motion = load_recording(ItemInterval(item), FPS)
+            except GestureKitError as error:
+                found.excluded.append(Excluded(item.id, str(error), "the training split"))
+                continue
+            motion = copied(motion, 0, min(motion.n_frames, round(left * FPS)))
+            left -= motion.duration
+            found.motions.append(motion)
+            found.speakers.append(item.speaker)
+        if total > TRAINING_SECONDS:
+            found.note = f"{TRAINING_SECONDS / 60:.0f} of {total / 60:.0f} min of it"
+        return found
+
+    def with_joints(self, joints: Sequence[str]) -> list[tuple[Motion, str | None]]:
+        """Return (motion, its speaker) of those that have these joints."""
+        known = zip(self.motions, self.speakers, strict=True)
+        return [(m, speaker) for m, speaker in known if set(joints) <= set(m.skeleton.names)]
+
+
+def halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
+    """Return every other recording, and the rest; of a single one its halves.
+
+    Raises:
+        MotionError: a single one has one frame.
+    """
+    if len(motions) > 1:
+        return list(motions[::2]), list(motions[1::2])
+    (motion,) = motions
+    middle = motion.n_frames // 2
+    if middle < 1:
+        raise MotionError("the recording is too short to be cut into halves")
+    return [motion[:middle]], [motion[middle:]]
+
+
+def evenly(items: _Sliced, most: int) -> _Sliced:
+    """Return every k-th item, with the least k that leaves at most `most`."""
+    return items[:: max(1, -(-len(items) // most))]

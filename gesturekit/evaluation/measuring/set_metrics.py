@@ -1,44 +1,80 @@
-"""Metrics of a set of clips: speed distributions, global CCA, Fréchet distances, diversity."""
+"""Metrics of a set of clips: speeds, global CCA, diversity, all clips pooled, Fréchet distances.
+
+Those of all clips pooled (hands, windows, copying) are each beside the recordings' own value.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import partial
+import hashlib
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gesturekit.errors import GestureKitError
+from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
+    FRECHET,
     PATCHES,
     POOLED,
     SIMILARITY,
+    Definition,
     definitions_of,
 )
-from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, Problems, compute
-from gesturekit.evaluation.measuring.clips import Clip, load_recording
-from gesturekit.evaluation.measuring.pooled import PooledMetrics
-from gesturekit.evaluation.measuring.samples import MotionSample
+from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, compute
+from gesturekit.evaluation.measuring.clips import (
+    Clip,
+    MotionSample,
+    TrainingMotion,
+    evenly,
+    halves,
+    load_recording,
+)
 from gesturekit.evaluation.metrics import physical, similarity
+from gesturekit.evaluation.metrics.arms import ARM_KEYS, arm_windows, nearest_arm
 from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
-from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
+from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.hands import (
+    FPS,
+    HAND_KEYS,
+    LEAST_SEEDS,
+    NOMINAL,
+    Hands,
+    calibration,
+    calm_and_lively,
+    hand_level,
+    hand_values,
+    upper_joints,
+)
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.metrics.two_sample import (
+    LOW_QUANTILE,
+    motion_windows,
+    nearest_training,
+    subsample,
+    two_sample_accuracy,
+    two_sample_votes,
+    within_reach,
+)
 from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window
 from gesturekit.evaluation.results import Interval, MetricResult
 from gesturekit.evaluation.statistics.intervals import (
     Takes,
+    groups_of,
     interval_of,
     interval_of_statistic,
     whole_set,
 )
-from gesturekit.motion import Motion
+from gesturekit.evaluation.statistics.model_metrics import CEILING, level_of
+from gesturekit.motion import Motion, Skeleton
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
-    from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 
 INTER_SAMPLES = 20
 """Samples of one recording that are compared with each other, at most."""
@@ -47,7 +83,12 @@ ENOUGH_WINDOWS = 32
 says so little that motion that hardly moves may be nearer to the recordings than others are."""
 INDEPENDENT = 0.8
 """Takes for each motion, or piece of one, from which a bootstrap over motions gives an interval."""
-_WRISTS = 20_000
+ENOUGH_CALM = 16
+"""Windows from which the correlation of calm and lively stretches is informative. Where the true
+one is 0.8, that of 4 windows is below 0.4 in 14 of 100 cases, that of 16 windows in 2."""
+MOST_TAKES = 12
+"""Takes of a speaker that are compared with that speaker's other takes, at most."""
+_WRISTS = 20_000  # speeds of wrists that are kept, at most
 _CCA_FRAMES = 50_000  # frames that the global CCA is fitted on, at most
 
 
@@ -65,7 +106,7 @@ class SetMeasurement:
     """
 
     metrics: dict[str, MetricResult] = field(default_factory=dict)
-    problems: Problems = field(default_factory=list)
+    problems: list[tuple[str, str]] = field(default_factory=list)
     by_clip: list[dict[str, float]] = field(default_factory=list)
     speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
     recorded_speeds: SpeedHistogram = field(default_factory=SpeedHistogram)
@@ -73,147 +114,488 @@ class SetMeasurement:
     recorded_wrists: np.ndarray = field(default_factory=lambda: np.empty(0))
     training_excluded: list[Excluded] = field(default_factory=list)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            "metrics": {key: asdict(result) for key, result in self.metrics.items()},
-            "problems": self.problems,
-            "by_clip": self.by_clip,
-            "speeds": [speeds.to_json() for speeds in (self.speeds, self.recorded_speeds)],
-            "wrists": [speeds.tolist() for speeds in (self.wrists, self.recorded_wrists)],
-            "training_excluded": [asdict(item) for item in self.training_excluded],
-        }
 
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> SetMeasurement:
-        """Return the measurement that `to_json` described."""
-        speeds, recorded_speeds = map(SpeedHistogram.from_json, values["speeds"])
-        wrists, recorded_wrists = map(np.array, values["wrists"])
-        return cls(
-            {key: MetricResult.from_json(result) for key, result in values["metrics"].items()},
-            values["problems"],
-            values["by_clip"],
-            speeds,
-            recorded_speeds,
-            wrists,
-            recorded_wrists,
-            [Excluded(**item) for item in values["training_excluded"]],
-        )
+_Speeds = tuple[SpeedHistogram, np.ndarray]
+"""Speeds of all joints, and (T - 1,) of the wrists, m/s; empty without wrists."""
 
 
-class SetMetrics:
-    """Accumulates the clips of one model and computes the metrics of the set but Fréchet distances.
+@dataclass
+class _Recording:
+    """A recording of a set, or window of one, and the clips for it.
 
-    Args:
-        measure: the metrics of single clips.
-        pooled: those of all clips pooled.
+    Attributes:
+        number: number of the recording, from 0.
+        pair: its first clip.
+        skeleton: its rig.
+        joints: names of the joints that all its clips have.
+        speeds: of its joints.
+        wrists: (T - 1,) speeds, m/s.
+        hands: its hands; empty for a rig without, and where these are not measured.
+        samples: hands of its clips.
     """
 
-    def __init__(self, measure: ClipMetrics, pooled: PooledMetrics) -> None:
-        self.measure = measure
-        self.pooled = pooled
+    number: int
+    pair: Pair
+    skeleton: Skeleton
+    joints: tuple[str, ...]
+    speeds: SpeedHistogram
+    wrists: np.ndarray
+    hands: list[Hands] = field(default_factory=list)
+    samples: list[Hands] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Clips of one speaker (and style) with their recordings, or pieces of them; see `groups_of`.
+
+    Attributes:
+        joints: upper-body joints that all clips have.
+        recorded: (R) recordings.
+        recordings: (R) number of each among the recordings of all groups; pieces share it.
+        takes: (R) take of each.
+        generated: (C) clips, in the order of their recordings.
+        clips: (C) number of each among the clips of all groups.
+        trained: training motion of all speakers that has these joints.
+        training: that of this speaker; of all speakers if this one has none.
+    """
+
+    joints: tuple[str, ...]
+    recorded: list[Motion]
+    recordings: np.ndarray
+    takes: np.ndarray
+    generated: list[Motion]
+    clips: np.ndarray
+    trained: list[Motion]
+    training: list[Motion]
+
+    def splits(self) -> list[tuple[list[Motion], list[Motion]]]:
+        """Return pairs of (held-out recordings, other recordings of the speaker) to compare.
+
+        Held-out recordings are compared with training motion if there is any, else each take with
+        the other takes, else one half of a single take with the other half.
+        """
+        if self.training:
+            return [(self.recorded, self.training)]
+        takes = sorted(set(self.takes.tolist()))
+        if len(takes) < 2:
+            both = halves(self.recorded)
+            return [both, both[::-1]]
+        every = list(zip(self.recorded, self.takes))
+        return [
+            ([m for m, take in every if take == held], [m for m, take in every if take != held])
+            for held in evenly(takes, MOST_TAKES)
+        ]
+
+    def distances(
+        self, motions: list[Motion], side: str, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (N,) distances of windows to the nearest training motion, and motion of each.
+
+        Args:
+            motions: `generated` or `recorded`.
+            side: of the arm whose windows are compared; "" compares all joints.
+            rng: draws windows, if there are too many.
+        """
+        if side:
+            arms, owners = arm_windows(motions, side)
+            return nearest_arm(arms, self.trained, side), owners
+        windows = subsample(motion_windows(motions, self.joints), rng)
+        return nearest_training(windows, self.trained, self.joints), windows.clips
+
+
+@dataclass(eq=False)
+class SetMetrics:
+    """Accumulates the clips of one model, ordered by recording, and computes metrics of their set.
+
+    Attributes:
+        measure: the metrics of single clips, with groups and variants.
+        sources: all recordings by key.
+        training: motion of the training split; without any, takes are compared with each other.
+        fps: frame rate of the evaluation.
+        features: the feature extractor of `gesturekit fit-features`; without it, no FGD.
+        seed: seed of intervals and subsamples.
+        known: values of recordings that other models have in common; filled here.
+    """
+
+    measure: ClipMetrics
+    sources: Mapping[str, Path | ItemInterval]
+    training: TrainingMotion
+    fps: float
+    features: Extractor | None
+    seed: int
+    known: dict[Hashable, Any]
+
+    def __post_init__(self) -> None:
+        seed = self.seed
+        self._found = SetMeasurement(training_excluded=self.training.excluded)
         self._pairs: list[Pair] = []
-        self._speeds: list[SpeedHistogram] = []
-        self._wrists: list[np.ndarray] = []
-        self._recorded: dict[Window, tuple[SpeedHistogram, np.ndarray]] = {}
-        self._poses: list[tuple[np.ndarray, np.ndarray]] = []
-        self._pose_stride = 1
-        self._joints: tuple[str, ...] = ()  # of the global CCA
+        self._recordings: dict[Window, _Recording] = {}
+        self._speeds: list[_Speeds] = []
+        self._poses: list[list[np.ndarray]] = []  # of the global CCA, every k-th; and their joints
+        self._step, self._pose_joints = 1, tuple[str, ...]()
         self._inter: dict[str, tuple[Pair, float]] = {}
-        self._samples: list[np.ndarray] = []
+        self._features: list[np.ndarray] = []  # of the samples of one recording
+        self._recorded, self._generated = MotionSample(seed), MotionSample(seed)  # 25 fps
+        self._recorded_at_fps, self._generated_at_fps = MotionSample(seed), MotionSample(seed)
+        self._without_hands: MotionError | None = None
+        self._digest = hashlib.sha256()  # of the recordings
 
     def add(self, clip: Clip) -> None:
-        """Add a clip; clips must be ordered by recording."""
-        groups = self.measure.groups
-        same = bool(self._pairs) and self._pairs[-1].stem == clip.pair.stem
-        self._pairs.append(clip.pair)
-        if clip.pair.of not in self._recorded:
-            self._recorded[clip.pair.of] = _speeds(clip.recording, clip.joints)
-        speeds, wrists = _speeds(clip.generated, clip.joints)
-        self._speeds.append(speeds)
-        self._wrists.append(wrists)
+        """Add a clip and its recording."""
+        groups, pair, joints = self.measure.groups, clip.pair, clip.joints
+        if self._pairs and self._pairs[-1].stem != pair.stem:
+            self._features = []
+        self._pairs.append(pair)
+        self._found.by_clip.append({})
+        recording = self._recordings.get(pair.of)
+        if recording is None:
+            number, rig = len(self._recordings), clip.recording.skeleton
+            recording = _Recording(number, pair, rig, joints, *_speeds(clip.recording, joints))
+            self._recordings[pair.of] = recording
+            if POOLED in groups:
+                motion = at_rate(clip.recording, FPS)
+                self._recorded.add(motion)
+                self._digest.update(np.ascontiguousarray(motion.rotations).data)
+                recording.hands += self._hands_of(motion)
+            if FRECHET in groups:
+                self._recorded_at_fps.add(clip.recording)
+        recording.joints = tuple(name for name in recording.joints if name in joints)
+        self._speeds.append(_speeds(clip.generated, joints))
         if POOLED in groups:
-            self.pooled.add(clip)
+            motion = at_rate(clip.generated, FPS)
+            self._generated.add(motion)
+            recording.samples += self._hands_of(motion)
+        if FRECHET in groups:
+            self._generated_at_fps.add(clip.generated)
         if SIMILARITY in groups:
-            self._joints = self._joints or clip.joints
-            if clip.joints == self._joints:
-                self._add_poses(clip)
-        if PATCHES in groups:
-            self._samples = self._samples if same else []
-            self._compare_samples(clip)
-
-    def measured(self) -> SetMeasurement:
-        """Compute the metrics."""
-        speeds, wrists = zip(*self._recorded.values(), strict=True) if self._pairs else ((), ())
-        found = SetMeasurement(
-            speeds=SpeedHistogram.sum_of(self._speeds),
-            recorded_speeds=SpeedHistogram.sum_of(speeds),
-            wrists=_thinned(self._wrists),
-            recorded_wrists=_thinned(wrists),
-            training_excluded=self.pooled.training.excluded,
-        )
-        if not self._pairs:
-            return found
-        for key, make in (("hellinger", self._hellinger), ("cca_global", self._cca)):
-            try:
-                if key == "hellinger" or self._poses:
-                    found.metrics[key] = make()
-            except GestureKitError as error:
-                found.problems.append((key, str(error)))
-        if self._inter:
-            pairs, values = zip(*self._inter.values(), strict=True)
-            within = DEFINITIONS["inter_diversity"].within
-            interval = interval_of(values, Takes.of(pairs), within)
-            found.metrics["inter_diversity"] = MetricResult("inter_diversity", interval)
-        if POOLED in self.measure.groups:
-            found.metrics |= self.pooled.results()
-            found.problems += self.pooled.problems
-            found.by_clip = self.pooled.by_clip()
-        return found
-
-    def _hellinger(self) -> MetricResult:
-        recorded = [self._recorded[pair.of][0] for pair in self._pairs]
-
-        def distance(drawn: np.ndarray) -> float:
-            sides = ([side[i] for i in drawn] for side in (self._speeds, recorded))
-            return hellinger(*map(SpeedHistogram.sum_of, sides))
-
-        interval = interval_of_statistic(
-            distance, Takes.of(self._pairs), DEFINITIONS["hellinger"].within
-        )
-        total = sum(int(h.counts.sum()) + h.beyond for h in self._speeds)
-        beyond = 100.0 * sum(h.beyond for h in self._speeds) / max(total, 1)
-        return MetricResult("hellinger", interval, note=f"{beyond:.1f} % beyond the last bin")
-
-    def _cca(self) -> MetricResult:
-        ours, theirs = (np.concatenate(side) for side in zip(*self._poses, strict=True))
-        r = similarity.cca(ours, theirs)
-        return MetricResult("cca_global", whole_set(r, len(self._poses)))
+            self._add_poses(clip)
+        if PATCHES in groups and len(self._features) < INTER_SAMPLES:
+            with suppress(GestureKitError):  # local diversity reports the reason
+                variant = self.measure.variants.patches
+                self._features.append(patch_features(clip.generated, variant, joints=joints))
+                if len(self._features) > 1:
+                    self._inter[pair.stem] = pair, inter_diversity(self._features)
 
     def _add_poses(self, clip: Clip) -> None:
         """Keep every k-th pose of all clips; k is doubled when there are too many."""
-        # Copies: a view would keep the poses that are dropped.
-        step = self._pose_stride
-        ours, theirs = similarity.pose_pair(clip.generated, clip.recording, clip.joints)
-        self._poses.append((ours[::step].copy(), theirs[::step].copy()))
-        while sum(len(ours) for ours, _ in self._poses) > _CCA_FRAMES:
-            self._pose_stride *= 2
-            self._poses = [(one[::2].copy(), other[::2].copy()) for one, other in self._poses]
+        self._pose_joints = self._pose_joints or clip.joints
+        if clip.joints == self._pose_joints:
+            both = similarity.pose_pair(clip.generated, clip.recording, clip.joints)
+            self._poses.append([side[:: self._step].copy() for side in both])  # a view keeps all
+            while sum(len(ours) for ours, _ in self._poses) > _CCA_FRAMES:
+                self._step *= 2
+                self._poses = [[side[::2].copy() for side in sides] for sides in self._poses]
 
-    def _compare_samples(self, clip: Clip) -> None:
-        if len(self._samples) >= INTER_SAMPLES:
-            return
+    def _hands_of(self, motion: Motion) -> list[Hands]:
+        """Return the hands of a motion; without any, return nothing and keep the error."""
         try:
-            variant = self.measure.variants.patches
-            self._samples.append(patch_features(clip.generated, variant, joints=clip.joints))
-            if len(self._samples) > 1:
-                self._inter[clip.pair.stem] = clip.pair, inter_diversity(self._samples)
-        except GestureKitError:
-            return  # local diversity reports the reason
+            return [Hands.of(motion)]
+        except MotionError as error:
+            self._without_hands = self._without_hands or error
+            return []
+
+    def measured(self) -> SetMeasurement:
+        """Compute the metrics; those that fail are listed as problems."""
+        found, recorded = self._found, list(self._recordings.values())
+        found.speeds = SpeedHistogram.sum_of(counted for counted, _ in self._speeds)
+        found.recorded_speeds = SpeedHistogram.sum_of(one.speeds for one in recorded)
+        found.wrists = _thinned([wrists for _, wrists in self._speeds])
+        found.recorded_wrists = _thinned([one.wrists for one in recorded])
+        parts: list[tuple[Sequence[str], Callable[[], dict[str, MetricResult]]]] = []
+        if self._pairs:
+            parts += [(["hellinger"], self._hellinger), (["cca_global"], self._global_cca)]
+            parts += [(["inter_diversity"], self._inter_diversity)]
+        if self._pairs and POOLED in self.measure.groups:
+            parts += [
+                (HAND_KEYS, self._hands),
+                (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
+                (["one_nn", "within_reach"], self._windows),
+                (["copying", "copying_low"], partial(self._copying, "")),
+                *(([key], partial(self._copying, side)) for side, key in ARM_KEYS.items()),
+                (["calibration", "seed_spread", "sharpness"], self._calibration),
+            ]
+        if self._pairs and FRECHET in self.measure.groups:
+            definitions = definitions_of("distance", "diversity")
+            parts += [([d.key], partial(self._frechet, d)) for d in definitions]
+        for names, metrics in parts:
+            try:
+                found.metrics |= metrics()
+            except GestureKitError as error:
+                found.problems += [(name, str(error)) for name in names]
+        found.problems.sort(key=lambda problem: DEFINITIONS[problem[0]].group != FRECHET)
+        return found
+
+    def _result(
+        self, key: str, value: float, own: float | None, note: str = "", informative: bool = True
+    ) -> dict[str, MetricResult]:
+        interval = whole_set(value, len(self._pairs))
+        return {key: MetricResult(key, interval, own, note=note, informative=informative)}
+
+    def _hellinger(self) -> dict[str, MetricResult]:
+        own = [counted for counted, _ in self._speeds]
+        recorded = [self._recordings[pair.of].speeds for pair in self._pairs]
+
+        def distance(drawn: np.ndarray) -> float:
+            sides = ([side[i] for i in drawn] for side in (own, recorded))
+            return hellinger(*map(SpeedHistogram.sum_of, sides))
+
+        within, whole = DEFINITIONS["hellinger"].within, self._found.speeds
+        interval = interval_of_statistic(distance, Takes.of(self._pairs), within)
+        beyond = 100.0 * whole.beyond / max(int(whole.counts.sum()) + whole.beyond, 1)
+        note = f"{beyond:.1f} % beyond the last bin"
+        return {"hellinger": MetricResult("hellinger", interval, note=note)}
+
+    def _global_cca(self) -> dict[str, MetricResult]:
+        if not self._poses:
+            return {}
+        r = similarity.cca(*map(np.concatenate, zip(*self._poses, strict=True)))
+        return {"cca_global": MetricResult("cca_global", whole_set(r, len(self._poses)))}
+
+    def _inter_diversity(self) -> dict[str, MetricResult]:
+        if not self._inter:
+            return {}
+        pairs, values = zip(*self._inter.values(), strict=True)
+        interval = interval_of(values, Takes.of(pairs), DEFINITIONS["inter_diversity"].within)
+        return {"inter_diversity": MetricResult("inter_diversity", interval)}
+
+    @cached_property
+    def _recording_of(self) -> list[int]:
+        """Number of the recording of each clip."""
+        return [self._recordings[pair.of].number for pair in self._pairs]
+
+    @cached_property
+    def _groups(self) -> list[_Group]:
+        """Clips by speaker (and style), of those in the samples."""
+        every = list(self._recordings.values())
+        names = groups_of([recording.pair for recording in every])
+        recorded = list(zip(self._recorded.owners, self._recorded.motions))
+        generated = sorted(  # in the order of their recordings
+            zip(self._generated.owners, self._generated.motions),
+            key=lambda clip: self._recording_of[clip[0]],
+        )
+        groups = []
+        for name in dict.fromkeys(names):
+            own = [(n, motion) for n, motion in recorded if names[n] == name]
+            clips = [(n, m) for n, m in generated if names[self._recording_of[n]] == name]
+            if not own or not clips:
+                continue
+            members = [recording for recording, of in zip(every, names) if of == name]
+            upper = upper_joints(members[0].skeleton)
+            joints = tuple(n for n in upper if all(n in one.joints for one in members))
+            trained = self.training.with_joints(joints)
+            speaker = members[0].pair.speaker
+            groups.append(
+                _Group(
+                    joints,
+                    recorded=[motion for _, motion in own],
+                    recordings=np.array([n for n, _ in own]),
+                    takes=np.array([every[n].pair.take for n, _ in own]),
+                    generated=[motion for _, motion in clips],
+                    clips=np.array([n for n, _ in clips]),
+                    trained=(fitting := [motion for motion, _ in trained]),
+                    training=[motion for motion, of in trained if of == speaker] or fitting,
+                )
+            )
+        return groups
+
+    def _with_hands(self) -> tuple[list[Hands], list[list[Hands]]]:
+        """Return the hands of all recordings, and those of the clips for each.
+
+        Raises:
+            MotionError: a motion has none.
+        """
+        if self._without_hands is not None:
+            raise self._without_hands
+        every = self._recordings.values()
+        return [hands for one in every for hands in one.hands], [one.samples for one in every]
+
+    def _hands(self) -> dict[str, MetricResult]:
+        recorded, samples = self._with_hands()
+        ours = hand_values([hands for clips in samples for hands in clips])
+        theirs, results = hand_values(recorded), dict[str, MetricResult]()
+        # A held-out take may be livelier than all of training; a model can only know the latter.
+        motions = self.training.motions
+        trained = self._once("hands", lambda: hand_values(motions) if motions else {})
+        for key in HAND_KEYS:
+            known = np.isfinite(trained.get(key, np.nan))
+            note = f"training recordings: {trained[key]:.2f}" if known else ""
+            if np.isfinite(ours[key]):
+                own = theirs[key] if np.isfinite(theirs[key]) else None
+                results |= self._result(key, ours[key], own, note)
+            else:
+                reason = "the clips are too short, or the hands never move"
+                self._found.problems.append((key, reason))
+        return results
+
+    def _calm_and_lively(self) -> dict[str, MetricResult]:
+        found = calm_and_lively(*self._with_hands())
+        own = 1.0, f"{found.n} windows", found.n >= ENOUGH_CALM
+        slope = self._result("calm_lively_slope", found.slope, *own)
+        return self._result("calm_lively_r", found.r, *own) | slope
+
+    def _calibration(self) -> dict[str, MetricResult]:
+        """Return the calibration of a model with enough samples of each clip; {} for others."""
+        counts = np.bincount(self._recording_of)
+        if counts.min() < LEAST_SEEDS or len(counts) < 2:
+            return {}
+        recorded, samples = self._with_hands()
+        length = round(float(np.median([len(hands.paths) for hands in recorded])))
+        speaker = [
+            hand_level(motion[start : start + length])
+            for motion in self.training.motions
+            for start in range(0, motion.n_frames - length + 1, length)
+        ]
+        levels = [[hand_level(hands) for hands in clips] for clips in samples]
+        found = calibration(levels, [hand_level(hands) for hands in recorded], speaker)
+        note = f"{found.clips} clips of {found.seeds} samples"
+        return (
+            self._result("calibration", found.coverage, NOMINAL, note)
+            | self._result("seed_spread", found.spread, None, note)
+            | self._result("sharpness", found.sharpness, 1.0, note)
+        )
+
+    def _windows(self) -> dict[str, MetricResult]:
+        votes, reached = [], []
+        for group in self._groups:
+            ours = motion_windows(group.generated, group.joints)
+            theirs = motion_windows(group.recorded, group.joints)
+            n, (right, drawn) = len(ours), two_sample_votes(ours, theirs, seed=self.seed)
+            votes.append((right.sum(), drawn.sum()))
+            mine = _shares(group.clips[ours.clips], right[:n], drawn[:n])
+            recorded = _shares(group.recordings[theirs.clips], right[n:], drawn[n:])
+            for clip, share in mine.items():  # the mean of its windows' and its recording's
+                if (number := self._recording_of[clip]) in recorded:
+                    self._found.by_clip[clip]["one_nn"] = float(share + recorded[number]) / 2
+            reached.append((len(theirs), 100.0 * within_reach(ours, theirs, seed=self.seed)))
+        right, drawn = np.sum(votes, axis=0)
+        windows, reach = np.transpose(reached)
+        share = float(np.average(reach, weights=windows))
+        accuracy, own_share, note = self._once("windows", self._own_windows)
+        one_nn = self._result("one_nn", float(right / drawn), accuracy, note)
+        return one_nn | self._result("within_reach", share, own_share, note)
+
+    def _own_windows(self) -> tuple[float | None, float | None, str]:
+        """Return 1-NN and share of held-out recordings against others, and a note."""
+        found = []
+        try:
+            for group in self._groups:
+                for sides in group.splits():
+                    ours, theirs = (motion_windows(side, group.joints) for side in sides)
+                    accuracy = two_sample_accuracy(theirs, ours, seed=self.seed)
+                    found.append((accuracy, 100.0 * within_reach(theirs, ours, seed=self.seed)))
+        except MotionError:
+            return None, None, "no value of the recordings: they are too short"
+        accuracy, reach = (float(np.mean(values)) for values in zip(*found, strict=True))
+        return accuracy, reach, f"recording: {self._compared()}"
+
+    def _copying(self, side: str) -> dict[str, MetricResult]:
+        """Return distances to training motion, of an arm or (side "") of all; {} without any."""
+        if not self.training.motions:
+            return {}
+        key, rng, distances = ARM_KEYS.get(side, "copying"), np.random.default_rng(self.seed), []
+        for group in self._groups:
+            values, owners = group.distances(group.generated, side, rng)
+            distances.append(values)
+            clips = group.clips[owners]
+            for clip in np.unique(clips):
+                self._found.by_clip[clip][key] = float(np.median(values[clips == clip]))
+        ours, own = np.concatenate(distances), self._once(key, partial(self._own_distances, side))
+        if side:
+            median = float(np.median(np.concatenate([values for values, _ in own])))
+            return self._result(key, float(np.median(ours)), median)
+        quantiles = [np.quantile(values, (0.5, LOW_QUANTILE)) for values, _ in own]
+        median, low = np.mean(quantiles, axis=0).tolist()
+        takes = [np.median(v[t == take]) for v, t in own for take in np.unique(t)]
+        for of_clip in self._found.by_clip:
+            if key in of_clip and median > 0.0:
+                of_clip["novelty"] = of_clip[key] / median
+        # The ceiling of novelty: the medians of takes relative to all.
+        ceiling = replace(level_of(CEILING, np.array(takes) / (median or 1.0)), value=1.0)
+        note, lowest = f"recording: {self._compared()}", float(np.quantile(ours, LOW_QUANTILE))
+        whole = self._result(key, float(np.median(ours)), median, note)
+        whole[key] = replace(whole[key], ceiling=ceiling)
+        return whole | self._result("copying_low", lowest, low, note)
+
+    def _own_distances(self, side: str) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return distances of held-out recordings to training motion, and takes, of each group."""
+        rng, found = np.random.default_rng(self.seed), []
+        for group in self._groups:
+            values, owners = group.distances(group.recorded, side, rng)
+            found.append((values, group.takes[owners]))
+        return found
+
+    def _once(self, name: str, compute: Callable[[], Any]) -> Any:
+        """Return a value of the recordings, computed once for all models that share them."""
+        # A model lacks the recordings whose clips cannot be read.
+        key = (name, tuple(group.joints for group in self._groups), self._digest.hexdigest())
+        if key not in self.known:
+            self.known[key] = compute()
+        return self.known[key]
+
+    def _compared(self) -> str:
+        """Return how recordings are compared with recordings, in words."""
+        if self.training.motions:
+            note = f" ({self.training.note})" if self.training.note else ""
+            return f"against the training split{note}"
+        if all(group.training or len(set(group.takes.tolist())) > 1 for group in self._groups):
+            return "each take against the speaker's others"
+        return "one half against the other"
+
+    @cached_property
+    def _frechet_inputs(self) -> SimpleNamespace:
+        """Inputs of Fréchet distances and diversity beside the motion of a model.
+
+        Windows and kinetic features use the body joints that all clips share with the recordings;
+        geometric features and those of `features` need their own joints. Where clips are not of all
+        recordings, or of windows of them, all of these are the reference.
+        """
+        full, recordings = self._recorded_at_fps, list(self._recordings.values())
+        if set(self._recordings) != {(key, None) for key in self.sources}:
+            full = MotionSample(self.seed)
+            for source in self.sources.values():
+                full.add(load_recording(source, self.fps))
+        first, *others = recordings
+        joints = tuple(n for n in first.joints if all(n in one.joints for one in others))
+        return SimpleNamespace(
+            reference=full.motions,
+            is_full=full is self._recorded_at_fps,
+            model=self.features,
+            windows=self.features and self.features.windows,
+            joints=joints,
+            kinetic=self.measure.variants.kinetic,
+            seed=self.seed,
+        )
+
+    def _frechet(self, definition: Definition) -> dict[str, MetricResult]:
+        """Return a Fréchet distance to the full set of recordings, or a diversity.
+
+        A distance has an interval over motions if each has a take of its own. That of the clips'
+        own recordings to the full set is the lower bound.
+        """
+        inputs, key, generated = self._frechet_inputs, definition.key, self._generated_at_fps
+        ours = self._computed(definition, generated)
+        is_distance = definition.of == "distance"
+        if ours is None:  # it needs a feature extractor
+            return {}
+        own = None
+        if not (is_distance and inputs.is_full):
+            own = self._computed(definition, self._recorded_at_fps)
+        if not is_distance:
+            return self._result(key, ours, own)
+        takes = Takes.of([self._pairs[owner] for owner in generated.owners]).count
+        known = takes >= INDEPENDENT * len(generated.owners) and not np.isnan(ours.low)
+        low, high = (ours.low, ours.high) if known else (None, None)
+        n, over = ours.n_generated, f"windows, against {ours.n_reference} of the recordings"
+        interval, own = Interval(ours.value, low, high, n, n, over), own and own.value
+        enough = n >= ENOUGH_WINDOWS
+        return {key: MetricResult(key, interval, own, note=ours.note, informative=enough)}
+
+    def _computed(self, definition: Definition, sample: MotionSample) -> Any | None:
+        motions = SimpleNamespace(generated=sample.motions, motions=sample.motions)
+        return compute(definition, motions, self._frechet_inputs)
 
 
-def _speeds(motion: Motion, joints: Sequence[str]) -> tuple[SpeedHistogram, np.ndarray]:
-    """Return the speeds of all joints, and (T - 1,) of the wrists, m/s; empty without wrists."""
+def _speeds(motion: Motion, joints: Sequence[str]) -> _Speeds:
     try:
         wrists = physical.wrist_speed(motion)
     except GestureKitError:
@@ -222,116 +604,11 @@ def _speeds(motion: Motion, joints: Sequence[str]) -> tuple[SpeedHistogram, np.n
 
 
 def _thinned(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Concatenate arrays (N_i,); keep every k-th value if there are more than `_WRISTS`."""
-    whole = np.concatenate(parts) if parts else np.empty(0)
-    return whole[:: max(1, -(-len(whole) // _WRISTS))]
+    """Concatenate arrays (N_i,); keep every k-th value if there are many."""
+    return evenly(np.concatenate([np.empty(0), *parts]), _WRISTS)
 
 
-@dataclass(frozen=True, eq=False)
-class SetInputs:
-    """Inputs of the metrics of a set of motions.
-
-    Attributes:
-        reference: all recordings.
-        model: the feature extractor of FGD, or None.
-        joints: names of the joints that all of them have.
-        seed: of intervals.
-        kinetic: variant of the kinetic features.
-        generated: all motion of a model.
-    """
-
-    reference: Sequence[Motion]
-    model: Extractor | None
-    joints: tuple[str, ...]
-    seed: int
-    kinetic: str
-    generated: Sequence[Motion]
-
-    @property
-    def motions(self) -> Sequence[Motion]:
-        """The motion whose diversity is measured: `generated`."""
-        return self.generated
-
-    @property
-    def windows(self) -> PoseWindows | None:
-        """The windows of the feature extractor, or None."""
-        return None if self.model is None else self.model.windows
-
-
-def frechet_metrics(
-    clips: Iterable[Clip],
-    sources: Mapping[str, Path | ItemInterval],
-    model: Extractor | None,
-    *,
-    fps: float,
-    kinetic: str,
-    seed: int,
-) -> SetMeasurement:
-    """Compute Fréchet distances of clips to the full set of recordings, and their diversity.
-
-    Windows and kinetic features use the body joints that all clips share with the recordings;
-    geometric features and those of `model` need their own joints. Where clips are not of all
-    recordings, or of windows of them, the distance of these to the full set is the lower bound.
-
-    Args:
-        clips: the clips of a model.
-        sources: all recordings by key.
-        model: the feature extractor of `gesturekit fit-features`; without it, no FGD.
-        fps: frame rate of the evaluation.
-        kinetic: variant of the kinetic features.
-        seed: of intervals and subsamples.
-    """
-    generated, recorded = MotionSample(seed), MotionSample(seed)
-    windows, pairs, joints = set[Window](), list[Pair](), None
-    for clip in clips:
-        pairs.append(clip.pair)
-        generated.add(clip.generated)
-        known = clip.joints if joints is None else joints
-        joints = tuple(name for name in known if name in clip.joints)
-        if clip.pair.of not in windows:
-            windows.add(clip.pair.of)
-            recorded.add(clip.recording)
-    found = SetMeasurement()
-    if joints is None:
-        return found
-    full = recorded
-    if windows != {(key, None) for key in sources}:
-        full = MotionSample(seed)
-        for source in sources.values():
-            full.add(load_recording(source, fps))
-    inputs = partial(SetInputs, full.motions, model, joints, seed, kinetic)
-    takes = Takes.of([pairs[owner] for owner in generated.owners]).count
-    apart = takes >= INDEPENDENT * len(generated.owners)
-    for definition in definitions_of("distance", "diversity"):
-        try:
-            ours = compute(definition, inputs(generated.motions))
-            if ours is None:  # it needs a feature extractor
-                continue
-            if definition.of == "distance":
-                top = None if full is recorded else compute(definition, inputs(recorded.motions))
-                result = _distance(definition.key, ours, top, apart)
-            else:
-                own = compute(definition, inputs(recorded.motions))
-                result = MetricResult(definition.key, whole_set(ours, generated.count), own)
-            found.metrics[definition.key] = result
-        except GestureKitError as error:
-            found.problems.append((definition.key, str(error)))
-    return found
-
-
-def _distance(
-    key: str, ours: FrechetResult, top: FrechetResult | None, apart: bool
-) -> MetricResult:
-    """Return a Fréchet distance, with its interval over motions if each has a take of its own."""
-    known = apart and not np.isnan(ours.low)
-    interval = Interval(
-        ours.value,
-        ours.low if known else None,
-        ours.high if known else None,
-        ours.n_generated,
-        ours.n_generated,
-        f"windows, against {ours.n_reference} of the recordings",
-    )
-    enough = ours.n_generated >= ENOUGH_WINDOWS
-    recording = None if top is None else top.value
-    return MetricResult(key, interval, recording, note=ours.note, informative=enough)
+def _shares(owners: np.ndarray, right: np.ndarray, drawn: np.ndarray) -> dict[int, float]:
+    """Return {number of a clip: fraction of the draws of its windows (N,) that were right}."""
+    total, good = (np.bincount(owners, weights=votes) for votes in (drawn, right))
+    return {int(n): good[n] / total[n] for n in np.flatnonzero(total)}

@@ -13,7 +13,7 @@ from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.comparison import evaluate
 from gesturekit.evaluation.definitions import HEADLINE, Definition
-from gesturekit.evaluation.made_motion import bad_motion
+from gesturekit.evaluation.measuring.made_motion import bad_motion
 from gesturekit.evaluation.pairs import file_of, files_by_key, motion_files
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
 from gesturekit.formats.sources import SPEECH_SUFFIXES

@@ -136,7 +136,7 @@ def likeness_result(
     Not informative where the speaker's own score is so low that nothing can be compared with it.
 
     Args:
-        groups: measured by `measuring.likeness`; none gives None.
+        groups: measured by `measuring.speaker`; none gives None.
         levels: ceiling and floors by name.
         clips: number of clips of the model.
     """

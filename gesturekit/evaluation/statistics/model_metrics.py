@@ -60,8 +60,8 @@ def metric_results(
     Args:
         clips: the clips of a model.
         of_set: metrics of their set, see `measuring.set_metrics`.
-        ceilings: the recordings' own values, see `measuring.ceilings`.
-        likeness: of the model, see `measuring.likeness`.
+        ceilings: the recordings' own values, see `measuring.speaker`.
+        likeness: of the model, see `measuring.speaker`.
     """
     found = {}
     for key in DEFINITIONS:
