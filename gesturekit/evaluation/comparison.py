@@ -38,7 +38,7 @@ from gesturekit.evaluation.measuring.measurer import (
     Progress,
     measure_all,
 )
-from gesturekit.evaluation.metrics.frame_rate import RULE
+from gesturekit.evaluation.metrics.inputs import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,

@@ -15,7 +15,7 @@ import numpy as np
 from audio_features.atomic import write_text
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation.metrics.physical import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
 from gesturekit.wording import counted
 

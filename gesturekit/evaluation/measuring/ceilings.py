@@ -20,9 +20,8 @@ from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import Clip, load_recording
 from gesturekit.evaluation.measuring.samples import copied, evenly, halves
 from gesturekit.evaluation.metrics import similarity
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
-from gesturekit.evaluation.metrics.physical import relative_speed
+from gesturekit.evaluation.metrics.physical import SpeedHistogram, hellinger, relative_speed
 from gesturekit.evaluation.pairs import Pair
 from gesturekit.evaluation.results import Interval
 from gesturekit.evaluation.statistics.intervals import Takes, interval_of, whole_set

@@ -12,7 +12,7 @@ import numpy as np
 
 from audio_features import FeatureTrack, Wave
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.inputs import at_rate
 from gesturekit.evaluation.metrics.mouth import with_mouth_alone
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets

@@ -13,8 +13,6 @@ import numpy as np
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.measuring.clips import Clip
 from gesturekit.evaluation.measuring.samples import MotionSample, SpeakerClips, TrainingMotion
-from gesturekit.evaluation.metrics.arms import ARM_KEYS, arm_windows, nearest_arm
-from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import (
     FPS,
     HAND_KEYS,
@@ -27,10 +25,14 @@ from gesturekit.evaluation.metrics.hands import (
     hand_values,
     upper_joints,
 )
+from gesturekit.evaluation.metrics.inputs import at_rate
 from gesturekit.evaluation.metrics.two_sample import (
+    ARM_KEYS,
     LOW_QUANTILE,
     MotionWindows,
+    arm_windows,
     motion_windows,
+    nearest_arm,
     nearest_training,
     subsample,
     two_sample_accuracy,
@@ -327,9 +329,9 @@ class PooledMetrics:
         for side, key in ARM_KEYS.items() if self.training.motions else ():
             every = []
             for group in self._groups:
-                windows, clips = arm_windows(group.generated, side)
+                windows = arm_windows(group.generated, side)
                 every.append(nearest_arm(windows, self._among(group.joints), side))
-                self._keep(key, _clip_medians(group.clips[clips], every[-1]))
+                self._keep(key, _clip_medians(group.clips[windows.clips], every[-1]))
             own = self._once(key, partial(self._own_arm, side))
             results[key] = self._result(key, float(np.median(np.concatenate(every))), own)
         return results
@@ -337,7 +339,7 @@ class PooledMetrics:
     def _own_arm(self, side: str) -> float:
         """Return the median distance of held-out recordings' arms to training motion."""
         return float(np.median(np.concatenate([
-            nearest_arm(arm_windows(group.recorded, side)[0], self._among(group.joints), side)
+            nearest_arm(arm_windows(group.recorded, side), self._among(group.joints), side)
             for group in self._groups
         ])))  # fmt: skip
 

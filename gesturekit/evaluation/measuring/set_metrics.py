@@ -23,9 +23,9 @@ from gesturekit.evaluation.measuring.clips import Clip, load_recording
 from gesturekit.evaluation.measuring.pooled import PooledMetrics
 from gesturekit.evaluation.measuring.samples import MotionSample
 from gesturekit.evaluation.metrics import physical, similarity
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.frechet.frechet import FrechetResult
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.metrics.physical import SpeedHistogram, hellinger
 from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window
 from gesturekit.evaluation.results import Interval, MetricResult
 from gesturekit.evaluation.statistics.intervals import (

@@ -19,13 +19,13 @@ from typing import TypeVar
 import numpy as np
 
 from gesturekit.errors import EvaluationError, MotionError
-from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.inputs import at_rate, check_frames
+from gesturekit.evaluation.metrics.physical import wrist_positions
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import SIDES, body_joints, find_parts, upper_body
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.root_path import headings_of_sides
 from gesturekit.motion.skeleton import GROUND, Skeleton
-from gesturekit.wording import counted
 
 FPS = 25.0
 """Frame rate of all metrics of hand movement."""
@@ -208,17 +208,8 @@ def hand_paths(motion: Motion) -> np.ndarray:
         >>> hand_paths(motion).round(2).tolist()
         [[[0.71, 0.46, 0.0], [-0.71, 0.46, 0.0]]]
     """
-    arms = find_parts(motion.skeleton).arms
-    wrists = [wrist for side in SIDES if (wrist := arms[side].wrist) is not None]
-    if len(wrists) == len(SIDES):
-        return body_centred(motion, wrists)
-    elbows = [arms[side].elbow for side in SIDES]
-    if not set(elbows) <= motion.skeleton.end_sites.keys():
-        raise MotionError("the rig has no wrist joints, and so no hands to measure")
-    resampled = at_rate(motion, FPS)
-    ends = resampled.end_positions()
-    hands = np.stack([ends[elbow][:, 0] for elbow in elbows], axis=1)
-    return _centred(hands, resampled.positions(), motion.skeleton)
+    motion = at_rate(motion, FPS)
+    return _centred(wrist_positions(motion), motion.positions(), motion.skeleton)
 
 
 def hand_speed(motion: Motion) -> np.ndarray:
@@ -247,10 +238,7 @@ def velocities(paths: np.ndarray) -> np.ndarray:
     """
     from scipy.ndimage import gaussian_filter1d
 
-    if len(paths) < 2:
-        raise MotionError(
-            f"the motion has {counted(len(paths), 'frame')} at {FPS:g} fps; at least 2 are needed"
-        )
+    check_frames(paths, 2, FPS)
     steps = np.gradient(paths, 1 / FPS, axis=0)
     return gaussian_filter1d(steps, SIGMA, axis=0, mode="nearest")
 
@@ -321,14 +309,12 @@ def calm_and_lively(recorded: HandMotions, generated: Sequence[HandMotions]) -> 
         x.append(own)
         y.append(np.mean(others, axis=0))
     x, y = np.concatenate(x), np.concatenate(y)
-    if len(x) < 3:
+    if len(x) < 3 or len(x) * x.var() < 1e-12:
         raise MotionError(
             f"calm and lively stretches need at least 3 windows of {CALM_WINDOW:g} s (hop "
-            f"{CALM_HOP:g} s); there are {len(x)}"
+            f"{CALM_HOP:g} s) of different mean speed; the recordings have {len(x)}"
         )
     x, y = x - x.mean(), y - y.mean()
-    if x @ x < 1e-12:
-        raise MotionError("the recordings' hands never change their mean speed")
     slope = float(x @ y / (x @ x))
     r = float(x @ y / np.sqrt((x @ x) * (y @ y))) if y @ y > 1e-12 else 0.0
     return CalmAndLively(r, slope, len(x))

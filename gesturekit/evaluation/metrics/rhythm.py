@@ -14,8 +14,8 @@ import numpy as np
 
 from audio_features import Wave
 from audio_features.acoustic.analysis import import_librosa
-from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.hands import upper_joints
+from gesturekit.evaluation.metrics.inputs import check_choice, check_frames
 from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
 from gesturekit.evaluation.metrics.sync import MIN_SHIFT
 from gesturekit.motion import Motion
@@ -235,8 +235,7 @@ def motion_beats(
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import argrelextrema
 
-    if variant not in ("seconds", "bailando"):
-        raise MotionError(f"beat alignment variant {variant!r}; expected seconds or bailando")
+    check_choice("beat alignment variant", variant, ("seconds", "bailando"))
     sigma: float
     if variant == "bailando":
         speed, sigma = joint_speed(motion, joints), SMOOTHING_FRAMES
@@ -288,8 +287,7 @@ def music_beats(wave: Wave) -> np.ndarray:
 
 def central_speed(motion: Motion, joints: Sequence[str]) -> np.ndarray:
     """Return (T, J) speeds by central differences, one-sided at both ends, as in BEAT, m/s."""
-    if motion.n_frames < 3:
-        raise MotionError(f"the motion has {motion.n_frames} frames; at least 3 are needed")
+    check_frames(motion, 3, motion.fps)
     return np.linalg.norm(np.gradient(joint_paths(motion, joints), 1 / motion.fps, axis=0), axis=-1)
 
 
