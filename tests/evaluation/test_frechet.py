@@ -327,7 +327,7 @@ def test_motions_that_cannot_be_compared(gesture, call, message):
 
 def test_geometric_features_need_legs_and_wrists(gesture):
     motion = gesture(1.0)
-    with pytest.raises(MotionError, match="legs"):
+    with pytest.raises(EvaluationError, match="legs"):
         geometric_features(without_joints(motion, "Leg", "Foot", "Toe"))
     with pytest.raises(MotionError, match="left wrist"):
         geometric_features(without_joints(motion, "Hand"))

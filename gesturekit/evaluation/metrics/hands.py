@@ -12,7 +12,7 @@ Several motions are pooled: frames of all clips have equal weight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from typing import TypeVar
 
@@ -261,22 +261,14 @@ def hand_movement(motions: HandMotions) -> HandMovement:
     """
     hands = [Hands.of(motion) for motion in as_list(motions)]
     speeds = [one.speed for one in hands]
-    pooled = np.concatenate(speeds)
+    q10, q50, q90, q99 = map(float, np.quantile(np.concatenate(speeds), (0.1, 0.5, 0.9, 0.99)))
     relative = np.concatenate([one.speed / one.scale for one in hands])
-    q10, q50, q90, q99 = map(float, np.quantile(pooled, (0.1, 0.5, 0.9, 0.99)))
+    rest, near_still = (float((relative < limit).mean()) for limit in (REST, STILL))
+    reach = _reach(np.concatenate([one.paths for one in hands]))
     means = np.concatenate([_window_means(speed, RANGE_WINDOW, RANGE_HOP) for speed in speeds])
     moves = len(means) > 1 and means.mean() > _NO_MOVEMENT
-    contrast = means.std() / means.mean() if moves else np.nan
-    return HandMovement(
-        q10,
-        q50,
-        q90,
-        q99,
-        rest=float((relative < REST).mean()),
-        near_still=float((relative < STILL).mean()),
-        reach=_reach(np.concatenate([one.paths for one in hands])),
-        range=float(contrast),
-    )
+    contrast = float(means.std() / means.mean()) if moves else np.nan
+    return HandMovement(q10, q50, q90, q99, rest, near_still, reach, contrast)
 
 
 def calm_and_lively(recorded: HandMotions, generated: Sequence[HandMotions]) -> CalmAndLively:
@@ -353,19 +345,11 @@ def _reach(paths: np.ndarray) -> float:
     return float((np.maximum(np.linalg.det(covariance), 0.0) ** (1 / 6)).sum())
 
 
-_HANDS = {
-    "q10": ("hand_q10", 1.0),
-    "q50": ("hand_q50", 1.0),
-    "q90": ("hand_q90", 1.0),
-    "q99": ("hand_q99", 1.0),
-    "rest": ("rest", 100.0),
-    "near_still": ("near_still", 100.0),
-    "reach": ("reach", 1.0),
-    "range": ("speed_range", 1.0),
-}  # field of `HandMovement`: key of `definitions`, factor to its unit
-
-HAND_KEYS = tuple(key for key, _ in _HANDS.values())
-"""Keys of `definitions` of the hand movement."""
+HAND_KEYS = (
+    *("hand_q10", "hand_q50", "hand_q90", "hand_q99"),
+    *("rest", "near_still", "reach", "speed_range"),
+)
+"""Keys of `definitions` of the fields of `HandMovement`."""
 
 
 def hand_values(motion: HandMotions) -> dict[str, float]:
@@ -385,8 +369,8 @@ def hand_values(motion: HandMotions) -> dict[str, float]:
         >>> round(found["hand_q50"], 6), found["rest"]
         (0.0, 100.0)
     """
-    found = hand_movement(motion)
-    return {key: factor * getattr(found, name) for name, (key, factor) in _HANDS.items()}
+    values = dict(zip(HAND_KEYS, astuple(hand_movement(motion)), strict=True))
+    return values | {key: 100.0 * values[key] for key in ("rest", "near_still")}
 
 
 @dataclass(frozen=True)

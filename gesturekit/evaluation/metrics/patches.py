@@ -91,9 +91,7 @@ def coverage(
         >>> coverage(reference, reference), round(coverage(reference[:100], reference, window=1), 2)
         (1.0, 0.5)
     """
-    return patch_scores(
-        generated, reference, window, None, None, threshold=threshold, variant=variant
-    ).coverage
+    return _coverage(_distances(generated, reference, variant), window, threshold, variant)
 
 
 def global_diversity(
@@ -125,9 +123,7 @@ def global_diversity(
         >>> global_diversity(reference, reference), global_diversity(reference + 3, reference)
         (0.0, 3.0)
     """
-    return patch_scores(
-        generated, reference, None, min_segment, None, variant=variant
-    ).global_diversity
+    return _segmentation(_distances(generated, reference, variant), min_segment)
 
 
 def local_diversity(
@@ -148,29 +144,23 @@ def local_diversity(
         >>> local_diversity(generated, np.zeros((5, 1)), window=1)
         2.0
     """
-    return patch_scores(generated, reference, None, None, window, variant=variant).local_diversity
+    distances = _distances(generated, reference, variant)
+    return float(_nearest(distances, 0, window, variant).mean())
 
 
 def patch_scores(
     generated: np.ndarray,
     reference: np.ndarray,
-    coverage_window: int | None = 30,
-    min_segment: int | None = 30,
-    local_window: int | None = 15,
     *,
     threshold: float | None = None,
     variant: str = "ganimator",
 ) -> PatchScores:
-    """Return coverage, global and local diversity from one distance matrix; NaN if its window is
-    None.
+    """Return coverage, global and local diversity from one distance matrix, in their usual windows.
 
     Args:
         generated: (L, D) frames.
         reference: (N, D) frames.
-        coverage_window: see `coverage`.
-        min_segment: see `global_diversity`.
-        local_window: see `local_diversity`.
-        threshold: see `coverage`.
+        threshold: see `coverage`; "paper" has no default, and no coverage (NaN) without one.
         variant: see the module docstring.
 
     Raises:
@@ -180,32 +170,13 @@ def patch_scores(
         >>> patch_scores(np.eye(60), np.eye(60))
         PatchScores(coverage=1.0, global_diversity=0.0, local_diversity=0.0)
     """
-    check_choice("variant", variant, VARIANTS)
-    generated, reference = checked_rows({"generated": generated, "reference": reference})
-    _check_pairs(len(generated), len(reference), MOST_PAIRS)
-    if threshold is None and variant == "ganimator":
-        threshold = THRESHOLD
-    distances = frame_distances(generated, reference, squared=variant == "paper")
-    covered = overall = local = np.nan
-    if coverage_window is not None:
-        if threshold is None or not 0 < threshold < np.inf:
-            raise EvaluationError(
-                f"threshold is {threshold}; coverage takes a number above 0, for which the variant "
-                '"paper" has no default: its authors give none'
-            )
-        covered = (_nearest(distances, 1, coverage_window, variant) < threshold).mean()
-    if min_segment is not None:
-        _check_length("min_segment", min_segment, min(distances.shape))
-        overall = segmentation_cost(distances, min_segment) / len(generated)
-        if not np.isfinite(overall):
-            raise EvaluationError(
-                f"{len(generated)} generated frames cannot be cut into segments of {min_segment} "
-                f"to {len(reference)} frames (the reference has no more): choose a shorter "
-                "min_segment"
-            )
-    if local_window is not None:
-        local = _nearest(distances, 0, local_window, variant).mean()
-    return PatchScores(float(covered), float(overall), float(local))
+    distances = _distances(generated, reference, variant)
+    has_threshold = threshold is not None or variant == "ganimator"
+    return PatchScores(
+        _coverage(distances, 30, threshold, variant) if has_threshold else np.nan,
+        _segmentation(distances, 30),
+        float(_nearest(distances, 0, 15, variant).mean()),
+    )
 
 
 def patch_values(
@@ -238,18 +209,8 @@ def patch_values(
     """
     _check_pairs(motion.n_frames, recording.n_frames)
     ours, theirs = (patch_features(m, patches, joints=joints) for m in (motion, recording))
-    scores = patch_scores(
-        ours,
-        theirs,
-        None if patches == "paper" and threshold is None else 30,
-        threshold=threshold,
-        variant=patches,
-    )
-    return {
-        "coverage": 100.0 * scores.coverage,
-        "global_diversity": scores.global_diversity,
-        "local_diversity": scores.local_diversity,
-    }
+    scores = patch_scores(ours, theirs, threshold=threshold, variant=patches)
+    return vars(scores) | {"coverage": 100.0 * scores.coverage}
 
 
 def intra_diversity_of(
@@ -381,6 +342,38 @@ def patch_features(
     contacts[..., 0] = labels
     blocks = np.concatenate([sixd_from_quaternion(rotations), contacts], axis=1)
     return blocks.reshape(motion.n_frames, -1)
+
+
+def _distances(generated: np.ndarray, reference: np.ndarray, variant: str) -> np.ndarray:
+    """Return (L, N) distances of frames, squared in the variant "paper"."""
+    check_choice("variant", variant, VARIANTS)
+    generated, reference = checked_rows({"generated": generated, "reference": reference})
+    _check_pairs(len(generated), len(reference), MOST_PAIRS)
+    return frame_distances(generated, reference, squared=variant == "paper")
+
+
+def _coverage(distances: np.ndarray, window: int, threshold: float | None, variant: str) -> float:
+    if threshold is None and variant == "ganimator":
+        threshold = THRESHOLD
+    if threshold is None or not 0 < threshold < np.inf:
+        raise EvaluationError(
+            f"threshold is {threshold}; coverage takes a number above 0, for which the variant "
+            '"paper" has no default: its authors give none'
+        )
+    return float((_nearest(distances, 1, window, variant) < threshold).mean())
+
+
+def _segmentation(distances: np.ndarray, min_segment: int) -> float:
+    _check_length("min_segment", min_segment, min(distances.shape))
+    cost = segmentation_cost(distances, min_segment) / len(distances)
+    if not np.isfinite(cost):
+        raise EvaluationError(
+            "{} generated frames cannot be cut into pieces of at most {} (the reference has no "
+            "more) and at least min_segment, {}: choose a shorter one".format(
+                *distances.shape, min_segment
+            )
+        )
+    return cost
 
 
 def _nearest(distances: np.ndarray, axis: int, window: int, variant: str) -> np.ndarray:

@@ -366,7 +366,7 @@ def standing_heights(motion: Motion) -> np.ndarray:
         >>> (standing_heights(high) - standing_heights(low)).round(6).tolist()
         [0.5, 0.5, 0.5, 0.5]
     """
-    heights = foot_paths(motion)[..., 1]
+    heights = _feet(motion)[..., 1]
     resting = contact_labels(motion) > 0
     return np.array(
         [
@@ -399,7 +399,7 @@ def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
         >>> round(foot_skate(slide), 6)
         1.0
     """
-    feet = foot_paths(motion)
+    feet = _feet(motion)
     steps = derivative(feet[..., [0, 2]], motion.fps, 1, None)
     above = 0.5 * (feet[1:, :, 1] + feet[:-1, :, 1]) - _standing(motion, heights)
     above = above / (NEAR * body_scale(motion.skeleton))
@@ -427,7 +427,7 @@ def floor_penetration(motion: Motion, heights: np.ndarray | None = None) -> floa
         >>> round(floor_penetration(low, standing_heights(high)), 6)
         0.03
     """
-    depth = _standing(motion, heights) - foot_paths(motion)[..., 1]
+    depth = _standing(motion, heights) - _feet(motion)[..., 1]
     return float(np.maximum(depth, 0.0).mean())
 
 
@@ -455,7 +455,7 @@ def feet_above_floor(motion: Motion, heights: np.ndarray | None = None) -> float
         0.5
     """
     ground = np.maximum(_standing(motion, heights), 0.0)
-    lowest = (foot_paths(motion)[..., 1] - ground).min(axis=1)
+    lowest = (_feet(motion)[..., 1] - ground).min(axis=1)
     return max(0.0, float(np.quantile(lowest, 0.05)))
 
 
@@ -489,7 +489,7 @@ def bone_length_change(motion: Motion, joints: Sequence[str] | None = None) -> f
     return max((float(a.std() / a.mean()) for a in lengths if a.mean() > 0.01), default=0.0)
 
 
-def foot_paths(motion: Motion) -> np.ndarray:
+def _feet(motion: Motion) -> np.ndarray:
     """Return the (T, F, 3) foot points, metres; raise a MotionError if there are none."""
     feet = foot_positions(motion)
     if not feet.shape[1]:

@@ -17,7 +17,7 @@ from audio_features.acoustic.analysis import import_librosa
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.inputs import check_choice, check_frames
 from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
-from gesturekit.evaluation.metrics.sync import MIN_SHIFT
+from gesturekit.evaluation.metrics.sync import MIN_SHIFT, against_chance
 from gesturekit.motion import Motion
 from gesturekit.motion.parts.body_size import body_scale
 
@@ -327,20 +327,13 @@ def beat_result(
         return BeatResult(0.0, 0.0, 0.0, 0.0, 0.0, len(beats), "the motion has no beats")
     score = float(np.mean([_met(beats[None], times, sigma)[0] for times in found]))
     shifts = np.arange(MIN_SHIFT + SHIFT_STEP, duration - MIN_SHIFT, SHIFT_STEP)
-    if len(shifts) == 0:
-        note = f"too short ({duration:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
-        return BeatResult(score, 0.0, 0.0, 0.0, count, len(beats), note)
-    shifts = shifts[:: -(-len(shifts) // MOST_SHIFTS)]
-    blocks = np.array_split(shifts, -(-len(shifts) * len(beats) // _BLOCK))
-    chance = np.concatenate(
-        [
-            np.mean([_met(moved, times, sigma) for times in found], axis=0)
-            for moved in ((beats[None] + block[:, None]) % duration for block in blocks)
-        ]
-    )
-    mean, sd = float(chance.mean()), float(chance.std())
-    z = (score - mean) / sd if sd > 1e-9 else 0.0
-    return BeatResult(score, mean, sd, z, count, len(beats))
+    shifts = shifts[:: max(1, -(-len(shifts) // MOST_SHIFTS))]
+    chance = []
+    for block in np.array_split(shifts, len(shifts) * len(beats) // _BLOCK + 1):
+        moved = (beats[None] + block[:, None]) % duration
+        chance.append(np.mean([_met(moved, times, sigma) for times in found], axis=0))
+    mean, sd, z, note = against_chance(score, np.concatenate(chance), duration)
+    return BeatResult(score, mean, sd, z, count, len(beats), note)
 
 
 def _met(beats: np.ndarray, times: np.ndarray, sigma: float) -> np.ndarray:

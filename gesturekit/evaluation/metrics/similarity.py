@@ -90,19 +90,16 @@ def cca(generated: np.ndarray, reference: np.ndarray) -> float:
     from sklearn.cross_decomposition import CCA
     from sklearn.exceptions import ConvergenceWarning
 
-    counts = len(generated), len(reference)
+    n, m = len(generated), len(reference)
     sides = [
         side[:, side.std(axis=0) > _STILL * np.abs(side).max(initial=0.0)]
         for side in (generated, reference)
     ]
     refuse(
-        (
-            counts[0] != counts[1],
-            "CCA compares frame by frame; there are {} and {}".format(*counts),
-        ),
+        (n != m, f"CCA compares frame by frame; there are {n} and {m} frames"),
         (not sides[0].shape[1], "CCA: the generated motion does not move"),
         (not sides[1].shape[1], "CCA: the reference does not move"),
-        (counts[0] < 3, f"CCA needs at least 3 frames; there are {counts[0]}"),
+        (n < 3, f"CCA needs at least 3 frames; there are {n}"),
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)

@@ -12,7 +12,7 @@ between these.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -154,8 +154,8 @@ def motion_windows(
     """
     motions = as_list(motions)
     joints = upper_joints(motions[0].skeleton) if joints is None else joints
-    paths = [_with_mirrored(motion, joints)[-mirrored] for motion in motions]
-    return _cut([_frames(path) for path in paths], HOP)
+    copies = (_with_mirrored(motion, joints) for motion in motions)
+    return _cut([_frames(paths[-1 if mirrored else 0]) for paths in copies], HOP)
 
 
 def _cut(frames: Sequence[np.ndarray], hop: float, step: int = 1) -> MotionWindows:
@@ -382,7 +382,7 @@ def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
 def subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
     """Return at most `MOST_WINDOWS` windows, chosen at random."""
     kept = _kept(windows, rng)
-    return MotionWindows(windows.frames, windows.clips[kept], windows.first[kept])
+    return replace(windows, clips=windows.clips[kept], first=windows.first[kept])
 
 
 def _kept(windows: MotionWindows, rng: np.random.Generator) -> np.ndarray:

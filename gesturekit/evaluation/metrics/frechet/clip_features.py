@@ -21,10 +21,16 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.metrics.inputs import at_rate, check_choice, check_frames, check_joints
-from gesturekit.evaluation.metrics.physical import foot_paths, wrist_positions
+from gesturekit.evaluation.metrics.inputs import (
+    at_rate,
+    check_choice,
+    check_frames,
+    check_joints,
+    motion_name,
+)
+from gesturekit.evaluation.metrics.physical import wrist_positions
 from gesturekit.motion import Motion
-from gesturekit.motion.contacts import foot_points
+from gesturekit.motion.contacts import foot_points, foot_positions
 from gesturekit.motion.parts import SIDES, body_joints, find_parts
 
 FPS = 30.0
@@ -38,41 +44,37 @@ _UNITS = {"arm": ("lshoulder", "lelbow"), "shoulders": ("lshoulder", "rshoulder"
 _AROUND = 2  # frames on either side in a running mean
 
 # Relation, joints, threshold and its unit of length (angles: lower and upper limit, degrees). As in
-# the released code, "move" does not use its fourth joint.
-_GEOMETRIC: tuple[tuple[Any, ...], ...] = (
-    ("nmove", "neck", "rhip", "lhip", "rwrist", 1.8, "arm"),
-    ("nmove", "neck", "lhip", "rhip", "lwrist", 1.8, "arm"),
-    ("nplane", "chest", "neck", "neck", "rwrist", 0.2, "arm"),
-    ("nplane", "chest", "neck", "neck", "lwrist", 0.2, "arm"),
-    ("move", "belly", "chest", "chest", "rwrist", 1.8, "arm"),
-    ("move", "belly", "chest", "chest", "lwrist", 1.8, "arm"),
-    ("angle", "relbow", "rshoulder", "relbow", "rwrist", 0.0, 110.0),
-    ("angle", "lelbow", "lshoulder", "lelbow", "lwrist", 0.0, 110.0),
+# the released code, "move" does not use its fourth joint. Joints with a dash are on either side: a
+# relation of them stands for two, the second of which has left and right exchanged.
+_RELATIONS: tuple[tuple[Any, ...], ...] = (
+    ("nmove", "neck", "r-hip", "l-hip", "r-wrist", 1.8, "arm"),
+    ("nplane", "chest", "neck", "neck", "r-wrist", 0.2, "arm"),
+    ("move", "belly", "chest", "chest", "r-wrist", 1.8, "arm"),
+    ("angle", "r-elbow", "r-shoulder", "r-elbow", "r-wrist", 0.0, 110.0),
     ("nplane", "lshoulder", "rshoulder", "lwrist", "rwrist", 2.5, "shoulders"),
     ("move", "lwrist", "rwrist", "rwrist", "lwrist", 1.4, "arm"),
-    ("move", "rwrist", "root", "lwrist", "root", 1.4, "arm"),
-    ("move", "lwrist", "root", "rwrist", "root", 1.4, "arm"),
-    ("fast", "rwrist", "", "", "", 2.5, "arm"),
-    ("fast", "lwrist", "", "", "", 2.5, "arm"),
-    ("plane", "root", "lhip", "ltoes", "rankle", 0.38, "arm"),
-    ("plane", "root", "rhip", "rtoes", "lankle", 0.38, "arm"),
-    ("nplane", "zero", "up", "lowest", "rankle", 1.2, "arm"),
-    ("nplane", "zero", "up", "lowest", "lankle", 1.2, "arm"),
+    ("move", "r-wrist", "root", "l-wrist", "root", 1.4, "arm"),
+    ("fast", "r-wrist", "", "", "", 2.5, "arm"),
+    ("plane", "root", "l-hip", "l-toes", "r-ankle", 0.38, "arm"),
+    ("nplane", "zero", "up", "lowest", "r-ankle", 1.2, "arm"),
     ("nplane", "lhip", "rhip", "lankle", "rankle", 2.1, "hips"),
-    ("angle", "rknee", "rhip", "rknee", "rankle", 0.0, 110.0),
-    ("angle", "lknee", "lhip", "lknee", "lankle", 0.0, 110.0),
-    ("fast", "rankle", "", "", "", 2.5, "arm"),
-    ("fast", "lankle", "", "", "", 2.5, "arm"),
-    ("angle", "neck", "root", "rshoulder", "relbow", 25.0, 180.0),
-    ("angle", "neck", "root", "lshoulder", "lelbow", 25.0, 180.0),
-    ("angle", "neck", "root", "rhip", "rknee", 50.0, 180.0),
-    ("angle", "neck", "root", "lhip", "lknee", 50.0, 180.0),
+    ("angle", "r-knee", "r-hip", "r-knee", "r-ankle", 0.0, 110.0),
+    ("fast", "r-ankle", "", "", "", 2.5, "arm"),
+    ("angle", "neck", "root", "r-shoulder", "r-elbow", 25.0, 180.0),
+    ("angle", "neck", "root", "r-hip", "r-knee", 50.0, 180.0),
     ("plane", "rankle", "neck", "lankle", "root", 0.5, "arm"),
     ("angle", "neck", "root", "zero", "up", 70.0, 110.0),
-    ("nplane", "zero", "down", "lowest", "rwrist", -1.2, "arm"),
-    ("nplane", "zero", "down", "lowest", "lwrist", -1.2, "arm"),
+    ("nplane", "zero", "down", "lowest", "r-wrist", -1.2, "arm"),
     ("fast", "root", "", "", "", 2.3, "arm"),
 )
+
+
+def _relations() -> Iterator[tuple[Any, ...]]:
+    """Yield `_RELATIONS`, those of joints on either side twice."""
+    for relation, *joints, limit, unit in _RELATIONS:
+        for right, left in ("rl", "lr") if "-" in "".join(joints) else ("rl",):
+            names = (name.replace("r-", right).replace("l-", left) for name in joints)
+            yield relation, *names, limit, unit
 
 
 def kinetic_features(
@@ -138,8 +140,9 @@ def geometric_features(motion: Motion) -> np.ndarray:
         motion: at least 4 frames at 30 fps.
 
     Raises:
-        MotionError: fewer frames, a forearm without an end, a rig without legs, or body parts that
-            cannot be identified.
+        EvaluationError: a rig without legs.
+        MotionError: fewer frames, a forearm without an end, or body parts that cannot be
+            identified.
 
     Examples:
         The last one: the pelvis moves at more than 2.3 upper arms (0.64 m here) a second:
@@ -165,7 +168,7 @@ def geometric_features(motion: Motion) -> np.ndarray:
         return (now[name] - now[seen_from] - before[name] + before[seen_from]) * FPS
 
     shares = []
-    for relation, a, b, c, d, limit, unit in _GEOMETRIC:
+    for relation, a, b, c, d, limit, unit in _relations():
         if relation == "angle":
             degrees = _angle(now[b] - now[a], now[d] - now[c])
             shares.append(((degrees > limit) & (degrees < unit)).mean())
@@ -251,9 +254,11 @@ def _mean_around(values: np.ndarray, ahead: int = 0) -> np.ndarray:
 
 
 def _places(motion: Motion) -> dict[str, np.ndarray]:
-    """Return {name: (T, 3) positions} of the joints that `_GEOMETRIC` names."""
-    skeleton, positions, feet = motion.skeleton, motion.positions(), foot_paths(motion)
-    parts = find_parts(skeleton)
+    """Return {name: (T, 3) positions} of the joints that `_RELATIONS` names."""
+    skeleton, parts = motion.skeleton, find_parts(motion.skeleton)
+    if not parts.legs:
+        raise EvaluationError(f"{motion_name(motion)} has no legs, which geometric features need")
+    positions, feet = motion.positions(), foot_positions(motion)
     names = {"root": parts.pelvis, "belly": parts.spine[0], "chest": parts.spine[-1]}
     names["neck"] = parts.neck or parts.head or parts.spine[-1]
     for side in SIDES:

@@ -16,6 +16,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,7 @@ def _block(convolution: nn.Conv1d | nn.ConvTranspose1d) -> tuple[nn.Module, ...]
     return convolution, nn.BatchNorm1d(convolution.out_channels), nn.LeakyReLU(0.2)
 
 
+@dataclass(eq=False)
 class FeatureModel:
     """Maps each window of poses of a motion to 32 features.
 
@@ -136,12 +138,9 @@ class FeatureModel:
         True
     """
 
-    def __init__(
-        self, windows: PoseWindows, network: PoseAutoencoder, training: dict[str, Any]
-    ) -> None:
-        self.windows = windows
-        self.network = network.eval()
-        self.training = training
+    windows: PoseWindows
+    network: PoseAutoencoder
+    training: dict[str, Any]
 
     @classmethod
     def fit(
@@ -191,7 +190,7 @@ class FeatureModel:
             if progress is not None:
                 progress(step, loss.item() / size)
         record = {"seed": seed, "steps": steps, "windows": len(starts)}
-        return cls(windows, network, record)._described(motions)
+        return cls(windows, network.eval(), record)._described(motions)
 
     @classmethod
     def of_weights(
@@ -222,8 +221,8 @@ class FeatureModel:
                 f"{weights}: takes {network.n_inputs / 3:g} joints, and {len(windows.bones)} are "
                 "chosen of the recordings: name those of the weights (joints)"
             )
-        n = sum(len(clip) for clip in windows.cut(motions))
-        return cls(windows, network, {"weights": str(weights), "windows": n})._described(motions)
+        record = {"weights": str(weights), "windows": sum(map(len, windows.cut(motions)))}
+        return cls(windows, network.eval(), record)._described(motions)
 
     def _described(self, motions: Sequence[Motion]) -> FeatureModel:
         """Add the reference set to the record of the training."""
@@ -241,12 +240,11 @@ class FeatureModel:
         Raises:
             EvaluationError: a motion lacks joints, or none is as long as a window.
         """
-        return [
-            torch.cat([self.network.encoder(part.transpose(1, 2)) for part in _parts(clip)])
-            .double()
-            .numpy()
-            for clip in self.windows.cut(motions)
-        ]
+        features = []
+        for clip in self.windows.cut(motions):
+            parts = [self.network.encoder(part.transpose(1, 2)) for part in _parts(clip)]
+            features.append(torch.cat(parts).double().numpy())
+        return features
 
     @property
     def fingerprint(self) -> str:
@@ -296,7 +294,7 @@ class FeatureModel:
             )
             network = _network(windows)
             network.load_state_dict({k.removeprefix("network."): v for k, v in tensors.items()})
-            model = cls(windows, network, dict(values["training"]))
+            model = cls(windows, network.eval(), dict(values["training"]))
             if model.fingerprint != values.get("fingerprint"):
                 raise ValueError("changed since it was fitted; fit the model again")
         except Exception as error:  # safetensors has an error class of its own
@@ -349,18 +347,16 @@ def _training_windows(windows: PoseWindows, motions: Sequence[Motion]) -> tuple[
             ENOUGH_MINUTES,
         )
     clips = [windows.frames(motion).astype(np.float32) for motion in motions]
-    lengths = np.array([len(clip) for clip in clips])
-    starts = [  # windows lie within one motion
-        first + np.arange(max(0, length - windows.n_frames + 1))
-        for first, length in zip(np.cumsum(lengths) - lengths, lengths)
-    ]
-    n_windows = sum(map(len, starts))
-    if n_windows < 2:
+    first = np.cumsum([0, *map(len, clips)])
+    starts = np.concatenate([  # windows lie within one motion
+        np.arange(at, max(at, end - windows.n_frames + 1)) for at, end in zip(first, first[1:])
+    ])  # fmt: skip
+    if len(starts) < 2:
         raise EvaluationError(
-            f"{n_windows} windows of {windows.n_frames / windows.fps:.3g} s in "
+            f"{len(starts)} windows of {windows.n_frames / windows.fps:.3g} s in "
             f"{len(motions)} motions; give longer motions"
         )
-    return torch.from_numpy(np.concatenate(clips)), torch.from_numpy(np.concatenate(starts))
+    return torch.from_numpy(np.concatenate(clips)), torch.from_numpy(starts)
 
 
 def _parts(clip: np.ndarray) -> tuple[Tensor, ...]:

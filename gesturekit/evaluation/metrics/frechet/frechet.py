@@ -142,10 +142,9 @@ def frechet_result(
     low = high = np.nan
     if resamples and min(map(len, sets)) < _CLIPS:
         notes.append(f"fewer than {_CLIPS} motions: no interval")
-    elif resamples:
+    elif resamples > 1:  # one has no spread
         spread = _standard_error(sets, resamples, seed)
-        # A spread of NaN leaves both ends NaN: `max` would give 0.
-        low, high = float(np.maximum(0.0, value - 1.96 * spread)), value + 1.96 * spread
+        low, high = max(0.0, value - 1.96 * spread), value + 1.96 * spread
     return FrechetResult(value, low, high, n, m, dimensions, "; ".join(notes))
 
 
@@ -354,9 +353,6 @@ def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> 
     rng = np.random.default_rng(seed)
     values = []
     for _ in range(resamples):
-        drawn = [
-            np.concatenate([one[i] for i in rng.integers(0, len(one), len(one))]) for one in sets
-        ]
-        if min(map(len, drawn)) >= 2:
-            values.append(_distance(*drawn))
-    return float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
+        drawn = ([one[i] for i in rng.integers(0, len(one), len(one))] for one in sets)
+        values.append(_distance(*map(np.concatenate, drawn)))
+    return float(np.std(values, ddof=1))

@@ -15,7 +15,6 @@ from gesturekit.evaluation.metrics.inputs import (
     check_choice,
     check_joints,
     motion_name,
-    refuse,
 )
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import body_joints, find_parts, heading_joints, upper_body
@@ -77,25 +76,20 @@ class PoseWindows:
         check_choice("variant", self.variant, _DEFAULTS)
         for name in ("mean", "scale"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
-        sides = (self.mean, self.scale)
-        refuse(
-            (
-                not LEAST_FRAMES <= self.n_frames <= MOST_FRAMES,
-                f"windows of {self.n_frames} frames; {LEAST_FRAMES} to {MOST_FRAMES} can be",
-            ),
-            (
-                not (1 <= self.fps <= 1000 and 1 <= self.stride <= MOST_FRAMES),
-                f"windows at {self.fps!r} fps, every {self.stride!r} frames",
-            ),
-            (
-                not self.bones or any(side.shape != (self.n_features,) for side in sides),
-                f"poses need bones, and mean and scale of each of {self.n_features} numbers",
-            ),
-            (
-                not all(np.isfinite(side).all() for side in sides) or (self.scale <= 0).any(),
-                "poses need finite means, and finite scales above 0",
-            ),
-        )
+        numbers = np.concatenate([self.mean.ravel(), self.scale.ravel()])
+        if not (
+            LEAST_FRAMES <= self.n_frames <= MOST_FRAMES
+            and 1 <= self.fps <= 1000
+            and 1 <= self.stride <= MOST_FRAMES
+            and self.mean.shape == self.scale.shape == (self.n_features,) != (0,)
+            and np.isfinite(numbers).all()
+            and (self.scale > 0).all()
+        ):
+            raise EvaluationError(
+                f"windows of {self.n_frames} frames at {self.fps} fps, every {self.stride}, of "
+                f"{len(self.bones)} bones; expected {LEAST_FRAMES} to {MOST_FRAMES} frames, 1 to "
+                "1000 fps, and 3 finite means and scales above 0 of each bone"
+            )
 
     @property
     def n_features(self) -> int:
