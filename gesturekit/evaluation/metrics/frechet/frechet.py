@@ -17,7 +17,7 @@ and read the note.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,10 +34,6 @@ if TYPE_CHECKING:
 SAMPLES_PER_DIMENSION = 10
 _RESAMPLED_DIMENSIONS = 128
 """Largest number of principal components in the bootstrap, for speed."""
-_EXACT = 1500
-"""Largest window dimension for an exact `raw_fgd`. Above, principal components are used for any
-number of windows, so that all models of a comparison are measured in the same way."""
-_COMPONENTS = 256  # exact too for sets of fewer windows
 _AXES_FROM = 4000  # samples that principal components are found from, at most
 _CLIPS = 10
 """Least number of motions of either set for an interval."""
@@ -207,9 +203,7 @@ def raw_fgd(
         [clip.reshape(len(clip), -1) for clip in windows.cut(motions)]
         for motions in (generated, reference)
     ]
-    if flat[0][0].shape[1] <= _EXACT:
-        return frechet_result(*flat, resamples=0)
-    return _bounded(flat)
+    return frechet_result(*flat, resamples=0)
 
 
 def fid(
@@ -302,53 +296,21 @@ def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
     return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
 
 
-def _bounded(sets: list[list[np.ndarray]]) -> FrechetResult:
-    """Return the Fréchet distance along principal components plus a lower bound of the rest.
-
-    The sets are lists of (n_i, D). The distances in the subspace and its complement add up to at
-    most the full one, which in the complement is at least |m1 - m2|² + Σ (s1 - s2)².
-    """
-    axes = _principal_axes(sets, _COMPONENTS)
-    along = frechet_result(*([x @ axes for x in one] for one in sets), resamples=0)
-    means, spreads = [], []
-    for one in sets:
-        n = sum(map(len, one))
-        mean = sum(x.sum(axis=0) for x in one) / n
-        squares = sum((_across(x - mean, axes) ** 2).sum(axis=0) for x in one)
-        means.append(mean)
-        spreads.append(np.sqrt(squares / (n - 1)))
-    apart = _across((means[0] - means[1])[None], axes)
-    rest = float((apart**2).sum() + ((spreads[0] - spreads[1]) ** 2).sum())
-    width = sets[0][0].shape[1]
-    note = f"{_COMPONENTS} principal components of {width}, and a lower bound of the rest"
-    return replace(
-        along,
-        value=along.value + rest,
-        dimensions=width,
-        note=f"{note}; {along.note}" if along.note else note,
-    )
-
-
-def _across(values: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Return values (n, D) minus their projection on orthonormal axes (D, K)."""
-    return values - (values @ axes) @ axes.T
-
-
-def _principal_axes(sets: list[list[np.ndarray]], count: int) -> np.ndarray:
-    """Return (D, count) principal axes of all samples together."""
+def _principal_axes(sets: list[list[np.ndarray]]) -> np.ndarray:
+    """Return (D, 128) principal axes of all samples together."""
     from sklearn.utils.extmath import randomized_svd
 
     clips = [x for one in sets for x in one]
     stride = -(-sum(map(len, clips)) // _AXES_FROM)
     samples = np.concatenate([x[::stride] for x in clips])
     samples = samples - samples.mean(axis=0)
-    count = min(count, *samples.shape)
+    count = min(_RESAMPLED_DIMENSIONS, *samples.shape)
     return randomized_svd(samples, count, n_iter=2, random_state=0)[2].T
 
 
 def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> float:
     if sets[0][0].shape[1] > _RESAMPLED_DIMENSIONS:
-        axes = _principal_axes(sets, _RESAMPLED_DIMENSIONS)
+        axes = _principal_axes(sets)
         sets = [[x @ axes for x in one] for one in sets]
     rng = np.random.default_rng(seed)
     values = []
