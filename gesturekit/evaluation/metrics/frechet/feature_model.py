@@ -391,13 +391,16 @@ def pose_autoencoder(path: Path) -> PoseAutoencoder:
     for prefix, layers in _LAYERS.items():
         for layer, number in layers.items():
             inside = f"{prefix}{layer}."
-            for name in (name for name in tensors if name.startswith(inside)):
-                part = "encoder" if prefix.startswith("pose") else "decoder"
-                named[f"{part}.{number}.{name.removeprefix(inside)}"] = tensors[name].float()
+            part = "encoder" if prefix.startswith("pose") else "decoder"
+            for name, tensor in tensors.items():
+                if name.startswith(inside):
+                    value = tensor.float() if tensor.is_floating_point() else tensor
+                    named[f"{part}.{number}.{name.removeprefix(inside)}"] = value
     try:
         n_inputs, n_frames = named["encoder.0.weight"].shape[1], len(named["decoder.2.weight"]) // 4
-        network = PoseAutoencoder(n_inputs, n_frames, "encoder.16.weight" in named)
-        network.load_state_dict(named)
+        with torch.device("meta"):  # shapes alone: they may be those of no tensor in the file
+            network = PoseAutoencoder(n_inputs, n_frames, "encoder.16.weight" in named)
+        network.load_state_dict(named, assign=True)
     except (KeyError, IndexError, RuntimeError) as error:
         raise EvaluationError(
             f"{path}: not GENEA's or Yoon's pose autoencoder ({_reason(error)}); it has "
