@@ -127,11 +127,7 @@ def global_diversity(
 
 
 def local_diversity(
-    generated: np.ndarray,
-    reference: np.ndarray,
-    window: int = 15,
-    *,
-    variant: str = "ganimator",
+    generated: np.ndarray, reference: np.ndarray, window: int = 15, *, variant: str = "ganimator"
 ) -> float:
     """Return the mean distance of generated windows to their nearest reference window (eq. 20).
 

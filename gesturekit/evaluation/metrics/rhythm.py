@@ -194,10 +194,7 @@ def consistency(
 
 
 def joint_beats(
-    motion: Motion,
-    *,
-    mean_speed: np.ndarray | None = None,
-    joints: Sequence[str] | None = None,
+    motion: Motion, *, mean_speed: np.ndarray | None = None, joints: Sequence[str] | None = None
 ) -> list[np.ndarray]:
     """Return the beats (M,) of each joint, seconds; see `beat_consistency`."""
     names = upper_joints(motion.skeleton) if joints is None else joints

@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.metrics.inputs import (
-    at_rate,
-    check_choice,
-    check_joints,
-    motion_name,
-)
+from gesturekit.evaluation.metrics.inputs import at_rate, check_choice, check_joints, motion_name
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import body_joints, find_parts, heading_joints, upper_body
 from gesturekit.motion.parts.body_size import body_scale
