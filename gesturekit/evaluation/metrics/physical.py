@@ -366,14 +366,8 @@ def standing_heights(motion: Motion) -> np.ndarray:
         >>> (standing_heights(high) - standing_heights(low)).round(6).tolist()
         [0.5, 0.5, 0.5, 0.5]
     """
-    heights = _feet(motion)[..., 1]
-    resting = contact_labels(motion) > 0
-    return np.array(
-        [
-            np.median(point[rests]) if rests.any() else np.quantile(point, 0.1)
-            for point, rests in zip(heights.T, resting.T, strict=True)
-        ]
-    )
+    points = zip(_feet(motion)[..., 1].T, contact_labels(motion).T > 0, strict=True)
+    return np.array([np.median(y[on]) if on.any() else np.quantile(y, 0.1) for y, on in points])
 
 
 def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:

@@ -374,9 +374,8 @@ def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
     if duration == 1.0 or len(paths) < 2:
         return paths
     n = round((len(paths) - 1) * duration) + 1
-    return CubicSpline(np.arange(len(paths)), paths)(
-        np.arange(n) * (len(paths) - 1) / max(n - 1, 1)
-    )
+    times = np.arange(n) * (len(paths) - 1) / max(n - 1, 1)
+    return CubicSpline(np.arange(len(paths)), paths)(times)
 
 
 def subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
