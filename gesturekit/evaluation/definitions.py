@@ -5,8 +5,8 @@ The table is `definitions.toml`. Report and JSON contain it, so that each value 
 
 from __future__ import annotations
 
-import importlib
 import math
+import pkgutil
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -112,9 +112,7 @@ class Definition:
 
     def load_function(self) -> Callable[..., Any]:
         """Return the function in `gesturekit.evaluation.metrics`."""
-        module, _, name = self.function.rpartition(".")
-        found = importlib.import_module(f"gesturekit.evaluation.metrics.{module}")
-        return getattr(found, name)
+        return pkgutil.resolve_name(f"gesturekit.evaluation.metrics.{self.function}")
 
     def to_json(self) -> dict[str, Any]:
         """Return what a reader of a report needs, as plain values."""
