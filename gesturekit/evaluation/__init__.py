@@ -5,7 +5,6 @@ from gesturekit.lazy import attach
 _PUBLIC = {
     "comparison": "evaluate",
     "definitions": "Variants",
-    "metrics.distributions": "SpeedHistogram hellinger",
     "metrics.frechet.clip_features": "geometric_features kinetic_features",
     "metrics.frechet.feature_model": "FeatureModel load_extractor",
     "metrics.frechet.frechet": (
@@ -21,9 +20,9 @@ _PUBLIC = {
         "patch_features patch_scores"
     ),
     "metrics.physical": (
-        "JointLimits acceleration arm_speed arm_speed_ratio bone_length_change feet_above_floor "
-        "floor_penetration foot_skate jerk jerk_ratio joint_limit_share joint_speed max_speed "
-        "standing_heights wrist_speed"
+        "JointLimits SpeedHistogram acceleration arm_speed arm_speed_ratio bone_length_change "
+        "feet_above_floor floor_penetration foot_skate hellinger jerk jerk_ratio "
+        "joint_limit_share joint_speed max_speed standing_heights wrist_speed"
     ),
     "metrics.rhythm": (
         "BeatResult beat_alignment beat_consistency motion_beats music_beats speech_onsets"

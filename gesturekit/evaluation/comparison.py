@@ -41,7 +41,7 @@ from gesturekit.evaluation.measuring.measurer import (
     measure_all,
 )
 from gesturekit.evaluation.measuring.set_metrics import SetMeasurement
-from gesturekit.evaluation.metrics.frame_rate import RULE
+from gesturekit.evaluation.metrics.inputs import RULE
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     Excluded,

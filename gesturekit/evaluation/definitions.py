@@ -5,8 +5,8 @@ The table is `definitions.toml`. Report and JSON contain it, so that each value 
 
 from __future__ import annotations
 
-import importlib
 import math
+import pkgutil
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -90,21 +90,15 @@ class Definition:
         `{30}` becomes "30 frames (1.20 s)", `{threshold}` the threshold of coverage.
         """
         chosen = {variants.patches, variants.bas, variants.kinetic}
-        changed: dict[str, Any] = next(
-            (new for name, new in _CHANGES[self.key].items() if name in chosen), {}
-        )
+        changes = (new for name, new in _CHANGES[self.key].items() if name in chosen)
+        changed = replace(self, **next(changes, {}))
         threshold = THRESHOLD if variants.threshold is None else variants.threshold
 
         def filled(text: str) -> str:
             text = " ".join(text.split()).replace("{threshold}", f"{threshold:g}")
             return re.sub(r"\{(\d+)\}", lambda n: f"{n[1]} frames ({int(n[1]) / fps:.2f} s)", text)
 
-        return replace(
-            self,
-            variant=filled(changed.get("variant", self.variant)),
-            text=filled(changed.get("text", self.text)),
-            fps_bound=changed.get("fps_bound", self.fps_bound),
-        )
+        return replace(changed, variant=filled(changed.variant), text=filled(changed.text))
 
     @property
     def title(self) -> str:
@@ -118,9 +112,7 @@ class Definition:
 
     def load_function(self) -> Callable[..., Any]:
         """Return the function in `gesturekit.evaluation.metrics`."""
-        module, _, name = self.function.rpartition(".")
-        found = importlib.import_module(f"gesturekit.evaluation.metrics.{module}")
-        return getattr(found, name)
+        return pkgutil.resolve_name(f"gesturekit.evaluation.metrics.{self.function}")
 
     def to_json(self) -> dict[str, Any]:
         """Return what a reader of a report needs, as plain values."""

@@ -18,7 +18,7 @@ from audio_features.atomic import write_text
 from audio_features.kinds import installed_versions
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition, Variants
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram
+from gesturekit.evaluation.metrics.physical import SpeedHistogram
 from gesturekit.evaluation.pairs import Excluded, Pair
 from gesturekit.wording import counted
 

@@ -284,10 +284,10 @@ def metrics(generated: list[Motion], reference: list[Motion], model: FeatureMode
     result["inter-diversity"] = inter_diversity(ours)
     result["inter-diversity, aligned"] = inter_diversity(ours, variant="aligned")
     result["intra-diversity"] = intra_diversity(ours)
-    result["FGD"] = fgd(generated, reference, model, resamples=0).value
+    result["FGD"] = fgd(generated, reference, model).value
     result["FGD, raw"] = raw_fgd(generated, reference, model.windows).value
-    result["FID_k"] = fid(generated, reference, seconds=CLIP, resamples=0).value
-    result["FID_g"] = fid(generated, reference, "geometric", seconds=CLIP, resamples=0).value
+    result["FID_k"] = fid(generated, reference, seconds=CLIP).value
+    result["FID_g"] = fid(generated, reference, "geometric", seconds=CLIP).value
     result["Div_k"] = clip_diversity(generated, reference, seconds=CLIP)
     return result
 

@@ -24,8 +24,7 @@ from gesturekit.evaluation import (
     two_sample_accuracy,
     within_reach,
 )
-from gesturekit.evaluation.metrics.arms import arm_windows, nearest_arm
-from gesturekit.evaluation.metrics.two_sample import nearest_training
+from gesturekit.evaluation.metrics.two_sample import arm_windows, nearest_arm, nearest_training
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import find_parts
 
@@ -331,7 +330,7 @@ def test_an_arm_is_copied_from_another_place_or_mirrored(gesture):
     copy = replace(made, rotations=rotations)
     for side in ("left", "right"):
         own, new, copied = (
-            np.median(nearest_arm(arm_windows([motion], side)[0], [training], side))
+            np.median(nearest_arm(arm_windows([motion], side), [training], side))
             for motion in (held_out, made, copy)
         )
         assert copied < 0.01 < 0.5 * own < new, side
@@ -342,7 +341,7 @@ def test_the_distance_of_arms_is_an_angle(turning):
     bent = turning({"LeftForeArm": np.zeros(40)})
     away = bent.rotations.copy()
     away[:, bent.skeleton.index("LeftForeArm"), 2:] = np.sin(0.1), np.cos(0.1)
-    windows = arm_windows([replace(bent, rotations=away)], "left")[0]
+    windows = arm_windows([replace(bent, rotations=away)], "left")
     found = nearest_arm(windows, [bent], "left")
     assert found == pytest.approx(np.degrees(0.2 / np.sqrt(2)), rel=1e-2)
 

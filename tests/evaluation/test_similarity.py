@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gesturekit.errors import FormatError, MotionError
+from gesturekit.errors import EvaluationError, FormatError, MotionError
 from gesturekit.evaluation import (
     SpeedHistogram,
     cca,
@@ -30,16 +30,10 @@ def test_hellinger_by_hand():
     assert apart.beyond == 1  # 90 cm/s lies beyond the last bin
 
 
-def test_histograms_that_cannot_be_compared_are_errors():
+def test_a_histogram_without_counted_speeds_cannot_be_compared():
     one = SpeedHistogram.of([np.array([0.005])])
-    with pytest.raises(MotionError, match=r"(?=.*0\.01).*0\.05"):
-        hellinger(one, SpeedHistogram.of([np.array([0.005])], width=0.05))
-    with pytest.raises(MotionError, match="top"):
+    with pytest.raises(MotionError, match=r"0\.49 m/s"):
         hellinger(one, SpeedHistogram.of([np.array([2.0])]))
-    for width, top in ((1.0, 0.49), (0.0, 0.49), (-0.1, 0.49), (0.1, 0.0)):
-        with pytest.raises(MotionError, match=f"(?=.*{width:g}).*{top:g}"):
-            SpeedHistogram(width, top)
-    assert len(SpeedHistogram(0.5, 0.5).counts) == 1
 
 
 def test_cca_by_hand():
@@ -66,11 +60,11 @@ def test_cca_finds_what_two_sequences_share():
 
 def test_cca_refuses_other_lengths_and_motion_that_does_not_move():
     moving = np.random.default_rng(0).normal(size=(9, 2))
-    with pytest.raises(MotionError, match=r"\b9\b.*\b8\b"):
+    with pytest.raises(EvaluationError, match=r"\b9\b.*\b8\b"):
         cca(moving, moving[:8])
-    with pytest.raises(MotionError, match="generated"):
+    with pytest.raises(EvaluationError, match="generated"):
         cca(np.ones((9, 2)), moving)
-    with pytest.raises(MotionError, match=r"3 frames.*\b2\b"):
+    with pytest.raises(EvaluationError, match=r"3 frames.*\b2\b"):
         cca(moving[:2], moving[:2])
 
 
@@ -126,9 +120,9 @@ def test_srgr_by_hand():
     assert srgr(generated, reference, semantic) == pytest.approx(0.625 / 0.165)
     # By the L1 distance of 2022 the last one, 0.14, is a miss: mean of (0.5, 0, 1, 0).
     assert srgr(generated, reference, semantic, variant="beat") == pytest.approx(0.375 / 0.165)
-    with pytest.raises(MotionError, match=r"(?=.*\(1, 2, 3\)).*\(2, 2, 3\)"):
+    with pytest.raises(EvaluationError, match=r"(?=.*\(1, 2, 3\)).*\(2, 2, 3\)"):
         srgr(generated[:1], reference, semantic)
-    with pytest.raises(MotionError, match="'pck'.*emage"):
+    with pytest.raises(EvaluationError, match="'pck'.*emage"):
         srgr(generated, reference, semantic, variant="pck")
 
 
@@ -165,7 +159,7 @@ def test_vertices_are_compared_as_beat2s_papers_do():
     # (1 + 4 + 0 + 9 + 4 + 1) / 6
     assert vertex_mse(made, recorded) == pytest.approx(19 / 6)
     for compare in (vertex_mse, vertex_lvd):
-        with pytest.raises(MotionError, match=r"(?=.*2, 1, 3).*4, 3, 3"):
+        with pytest.raises(EvaluationError, match=r"(?=.*2, 1, 3).*4, 3, 3"):
             compare(made, generated)
-        with pytest.raises(MotionError, match="0, 1, 3"):
+        with pytest.raises(EvaluationError, match="0, 1, 3"):
             compare(made[:0], recorded[:0])

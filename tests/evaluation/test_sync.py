@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.signal import argrelextrema
 
 from audio_features import Wave
-from gesturekit.errors import MotionError
+from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import (
     arm_speed,
     beat_alignment,
@@ -127,7 +127,7 @@ def test_the_published_variant_places_beats_at_the_first_frame_of_the_slowest_st
     motion = pulsing(first=30.5 / 60)
     assert motion_beats(motion, variant="bailando")[:2] == pytest.approx([30 / 60, 90 / 60])
     assert motion_beats(motion)[:2] == pytest.approx([30.5 / 60, 90.5 / 60], abs=1e-4)
-    with pytest.raises(MotionError, match="'frames'.*bailando"):
+    with pytest.raises(EvaluationError, match="'frames'.*bailando"):
         motion_beats(motion, variant="frames")
 
 

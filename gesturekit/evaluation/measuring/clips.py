@@ -16,8 +16,8 @@ import numpy as np
 from audio_features import FeatureTrack, Wave
 from gesturekit.corpus.manifest import Item
 from gesturekit.errors import FormatError, GestureKitError, MotionError
-from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import FPS
+from gesturekit.evaluation.metrics.inputs import at_rate
 from gesturekit.evaluation.metrics.mouth import with_mouth_alone
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets

@@ -36,9 +36,6 @@ from gesturekit.evaluation.measuring.clips import (
     load_recording,
 )
 from gesturekit.evaluation.metrics import physical, similarity
-from gesturekit.evaluation.metrics.arms import ARM_KEYS, arm_windows, nearest_arm
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
-from gesturekit.evaluation.metrics.frame_rate import at_rate
 from gesturekit.evaluation.metrics.hands import (
     FPS,
     HAND_KEYS,
@@ -51,10 +48,15 @@ from gesturekit.evaluation.metrics.hands import (
     hand_values,
     upper_joints,
 )
+from gesturekit.evaluation.metrics.inputs import at_rate
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
+from gesturekit.evaluation.metrics.physical import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.two_sample import (
+    ARM_KEYS,
     LOW_QUANTILE,
+    arm_windows,
     motion_windows,
+    nearest_arm,
     nearest_training,
     subsample,
     two_sample_accuracy,
@@ -197,8 +199,8 @@ class _Group:
             rng: draws windows, if there are too many.
         """
         if side:
-            arms, owners = arm_windows(motions, side)
-            return nearest_arm(arms, self.trained, side), owners
+            arms = arm_windows(motions, side)
+            return nearest_arm(arms, self.trained, side), arms.clips
         windows = subsample(motion_windows(motions, self.joints), rng)
         return nearest_training(windows, self.trained, self.joints), windows.clips
 

@@ -41,10 +41,9 @@ from gesturekit.evaluation.measuring.clips import (
 from gesturekit.evaluation.measuring.made_motion import held, mean_pose
 from gesturekit.evaluation.metrics import similarity
 from gesturekit.evaluation.metrics.diagonals import frame_distances
-from gesturekit.evaluation.metrics.distributions import SpeedHistogram, hellinger
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.patches import inter_diversity, patch_features
-from gesturekit.evaluation.metrics.physical import relative_speed
+from gesturekit.evaluation.metrics.physical import SpeedHistogram, hellinger, relative_speed
 from gesturekit.evaluation.metrics.two_sample import motion_windows
 from gesturekit.evaluation.pairs import Pair, Window, grouped
 from gesturekit.evaluation.results import (

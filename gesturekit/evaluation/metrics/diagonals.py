@@ -25,14 +25,8 @@ def frame_distances(a: np.ndarray, b: np.ndarray, *, squared: bool = False) -> n
     centre = b.mean(axis=0)  # smaller numbers cancel; distances stay the same
     left, right = a - centre, b - centre
     distances = left @ right.T
-    _finish(
-        distances,
-        np.einsum("ij,ij->i", left, left),
-        np.einsum("ij,ij->i", right, right),
-        a,
-        b,
-        squared,
-    )
+    squares = (np.einsum("ij,ij->i", side, side) for side in (left, right))
+    _finish(distances, *squares, a, b, squared)
     return distances
 
 
@@ -155,11 +149,8 @@ def least_window_sums(distances: np.ndarray, width: int) -> tuple[np.ndarray, np
     of_columns = np.full(len(sums), np.inf)
     for start in range(len(of_rows)):
         _sum_windows(start, distances, ends, begins, sums)
-        least = np.inf
-        for column in range(len(sums)):
-            least = min(least, sums[column])
-            of_columns[column] = min(of_columns[column], sums[column])
-        of_rows[start] = least
+        of_rows[start] = sums.min()
+        np.minimum(of_columns, sums, of_columns)
     return of_rows, of_columns
 
 

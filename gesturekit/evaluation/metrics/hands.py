@@ -12,20 +12,20 @@ Several motions are pooled: frames of all clips have equal weight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
 from gesturekit.errors import EvaluationError, MotionError
-from gesturekit.evaluation.metrics.frame_rate import at_rate
+from gesturekit.evaluation.metrics.inputs import at_rate, check_frames
+from gesturekit.evaluation.metrics.physical import wrist_positions
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import SIDES, body_joints, find_parts, upper_body
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.root_path import headings_of_sides
 from gesturekit.motion.skeleton import GROUND, Skeleton
-from gesturekit.wording import counted
 
 FPS = 25.0
 """Frame rate of all metrics of hand movement."""
@@ -208,17 +208,8 @@ def hand_paths(motion: Motion) -> np.ndarray:
         >>> hand_paths(motion).round(2).tolist()
         [[[0.71, 0.46, 0.0], [-0.71, 0.46, 0.0]]]
     """
-    arms = find_parts(motion.skeleton).arms
-    wrists = [wrist for side in SIDES if (wrist := arms[side].wrist) is not None]
-    if len(wrists) == len(SIDES):
-        return body_centred(motion, wrists)
-    elbows = [arms[side].elbow for side in SIDES]
-    if not set(elbows) <= motion.skeleton.end_sites.keys():
-        raise MotionError("the rig has no wrist joints, and so no hands to measure")
-    resampled = at_rate(motion, FPS)
-    ends = resampled.end_positions()
-    hands = np.stack([ends[elbow][:, 0] for elbow in elbows], axis=1)
-    return _centred(hands, resampled.positions(), motion.skeleton)
+    motion = at_rate(motion, FPS)
+    return _centred(wrist_positions(motion), motion.positions(), motion.skeleton)
 
 
 def hand_speed(motion: Motion) -> np.ndarray:
@@ -247,10 +238,7 @@ def velocities(paths: np.ndarray) -> np.ndarray:
     """
     from scipy.ndimage import gaussian_filter1d
 
-    if len(paths) < 2:
-        raise MotionError(
-            f"the motion has {counted(len(paths), 'frame')} at {FPS:g} fps; at least 2 are needed"
-        )
+    check_frames(paths, 2, FPS)
     steps = np.gradient(paths, 1 / FPS, axis=0)
     return gaussian_filter1d(steps, SIGMA, axis=0, mode="nearest")
 
@@ -273,22 +261,14 @@ def hand_movement(motions: HandMotions) -> HandMovement:
     """
     hands = [Hands.of(motion) for motion in as_list(motions)]
     speeds = [one.speed for one in hands]
-    pooled = np.concatenate(speeds)
+    q10, q50, q90, q99 = map(float, np.quantile(np.concatenate(speeds), (0.1, 0.5, 0.9, 0.99)))
     relative = np.concatenate([one.speed / one.scale for one in hands])
-    q10, q50, q90, q99 = map(float, np.quantile(pooled, (0.1, 0.5, 0.9, 0.99)))
+    rest, near_still = (float((relative < limit).mean()) for limit in (REST, STILL))
+    reach = _reach(np.concatenate([one.paths for one in hands]))
     means = np.concatenate([_window_means(speed, RANGE_WINDOW, RANGE_HOP) for speed in speeds])
     moves = len(means) > 1 and means.mean() > _NO_MOVEMENT
-    contrast = means.std() / means.mean() if moves else np.nan
-    return HandMovement(
-        q10,
-        q50,
-        q90,
-        q99,
-        rest=float((relative < REST).mean()),
-        near_still=float((relative < STILL).mean()),
-        reach=_reach(np.concatenate([one.paths for one in hands])),
-        range=float(contrast),
-    )
+    contrast = float(means.std() / means.mean()) if moves else np.nan
+    return HandMovement(q10, q50, q90, q99, rest, near_still, reach, contrast)
 
 
 def calm_and_lively(recorded: HandMotions, generated: Sequence[HandMotions]) -> CalmAndLively:
@@ -321,14 +301,12 @@ def calm_and_lively(recorded: HandMotions, generated: Sequence[HandMotions]) -> 
         x.append(own)
         y.append(np.mean(others, axis=0))
     x, y = np.concatenate(x), np.concatenate(y)
-    if len(x) < 3:
+    if len(x) < 3 or len(x) * x.var() < 1e-12:
         raise MotionError(
             f"calm and lively stretches need at least 3 windows of {CALM_WINDOW:g} s (hop "
-            f"{CALM_HOP:g} s); there are {len(x)}"
+            f"{CALM_HOP:g} s) of different mean speed; the recordings have {len(x)}"
         )
     x, y = x - x.mean(), y - y.mean()
-    if x @ x < 1e-12:
-        raise MotionError("the recordings' hands never change their mean speed")
     slope = float(x @ y / (x @ x))
     r = float(x @ y / np.sqrt((x @ x) * (y @ y))) if y @ y > 1e-12 else 0.0
     return CalmAndLively(r, slope, len(x))
@@ -367,19 +345,11 @@ def _reach(paths: np.ndarray) -> float:
     return float((np.maximum(np.linalg.det(covariance), 0.0) ** (1 / 6)).sum())
 
 
-_HANDS = {
-    "q10": ("hand_q10", 1.0),
-    "q50": ("hand_q50", 1.0),
-    "q90": ("hand_q90", 1.0),
-    "q99": ("hand_q99", 1.0),
-    "rest": ("rest", 100.0),
-    "near_still": ("near_still", 100.0),
-    "reach": ("reach", 1.0),
-    "range": ("speed_range", 1.0),
-}  # field of `HandMovement`: key of `definitions`, factor to its unit
-
-HAND_KEYS = tuple(key for key, _ in _HANDS.values())
-"""Keys of `definitions` of the hand movement."""
+HAND_KEYS = (
+    *("hand_q10", "hand_q50", "hand_q90", "hand_q99"),
+    *("rest", "near_still", "reach", "speed_range"),
+)
+"""Keys of `definitions` of the fields of `HandMovement`."""
 
 
 def hand_values(motion: HandMotions) -> dict[str, float]:
@@ -399,8 +369,8 @@ def hand_values(motion: HandMotions) -> dict[str, float]:
         >>> round(found["hand_q50"], 6), found["rest"]
         (0.0, 100.0)
     """
-    found = hand_movement(motion)
-    return {key: factor * getattr(found, name) for name, (key, factor) in _HANDS.items()}
+    values = dict(zip(HAND_KEYS, astuple(hand_movement(motion)), strict=True))
+    return values | {key: 100.0 * values[key] for key in ("rest", "near_still")}
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.metrics.sync import MIN_SHIFT
+from gesturekit.evaluation.metrics.inputs import refuse
+from gesturekit.evaluation.metrics.sync import MIN_SHIFT, against_chance
 from gesturekit.motion import Motion
 from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.root_path import side_axis
@@ -78,21 +78,17 @@ def mouth_agreement(mouth: np.ndarray, recorded_mouth: np.ndarray, fps: float) -
         0.1
     """
     n = min(len(mouth), len(recorded_mouth))
-    if n < 3 * fps:
-        raise EvaluationError(f"{n / fps:.1f} s of mouths in common; expected at least 3 s")
     ours, theirs = mouth[:n], recorded_mouth[:n]
-    if min(ours.std(), theirs.std()) < _STILL:
-        raise EvaluationError("a mouth does not move")
+    refuse(
+        (n < 3 * fps, f"{n / fps:.1f} s of mouths in common; expected at least 3 s"),
+        (min(ours.std(), theirs.std()) < _STILL, "a mouth does not move"),
+    )
     ours, theirs = ((side - side.mean()) / side.std() for side in (ours, theirs))
     # r at every circular shift: by the convolution theorem.
     r = np.fft.irfft(np.fft.rfft(ours) * np.conj(np.fft.rfft(theirs)), n) / n
     shift = np.arange(n)
     shift[shift > n // 2] -= n
     best = np.where(np.abs(shift) <= MAX_LAG * fps + 1e-9, r, -np.inf).argmax()
-    chance = r[np.abs(shift) > MIN_SHIFT * fps]
-    return {
-        "mouth": float(r[0]),
-        "mouth_lag": float(shift[best] / fps),
-        "mouth_chance": float(chance.mean()),
-        "mouth_z": float((r[0] - chance.mean()) / max(chance.std(), 1e-9)),
-    }
+    mean, _, z, _ = against_chance(float(r[0]), r[np.abs(shift) > MIN_SHIFT * fps], n / fps)
+    lag = float(shift[best] / fps)
+    return {"mouth": float(r[0]), "mouth_lag": lag, "mouth_chance": mean, "mouth_z": z}

@@ -22,13 +22,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gesturekit.errors import EvaluationError, MotionError
+from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.diagonals import (
     frame_distances,
     least_window_sums,
     segmentation_cost,
     window_sums,
 )
+from gesturekit.evaluation.metrics.inputs import check_choice, checked_rows, refuse
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import contact_labels
 from gesturekit.motion.parts import body_joints
@@ -42,7 +43,7 @@ CONTACT_SPEED = 0.54
 """Contact threshold, m/s on the reference body: GANimator's 0.018 m per frame at 30 fps."""
 PATCH_PAIRS = 250_000_000
 """Largest number of frames of a clip times frames of its recording that is compared: 2 GB."""
-_MOST_PAIRS = 10**9
+MOST_PAIRS = 10**9
 """Largest number of pairs of frames to compare: 8 GB."""
 
 
@@ -90,9 +91,7 @@ def coverage(
         >>> coverage(reference, reference), round(coverage(reference[:100], reference, window=1), 2)
         (1.0, 0.5)
     """
-    return patch_scores(
-        generated, reference, window, None, None, threshold=threshold, variant=variant
-    ).coverage
+    return _coverage(_distances(generated, reference, variant), window, threshold, variant)
 
 
 def global_diversity(
@@ -124,17 +123,11 @@ def global_diversity(
         >>> global_diversity(reference, reference), global_diversity(reference + 3, reference)
         (0.0, 3.0)
     """
-    return patch_scores(
-        generated, reference, None, min_segment, None, variant=variant
-    ).global_diversity
+    return _segmentation(_distances(generated, reference, variant), min_segment)
 
 
 def local_diversity(
-    generated: np.ndarray,
-    reference: np.ndarray,
-    window: int = 15,
-    *,
-    variant: str = "ganimator",
+    generated: np.ndarray, reference: np.ndarray, window: int = 15, *, variant: str = "ganimator"
 ) -> float:
     """Return the mean distance of generated windows to their nearest reference window (eq. 20).
 
@@ -147,29 +140,23 @@ def local_diversity(
         >>> local_diversity(generated, np.zeros((5, 1)), window=1)
         2.0
     """
-    return patch_scores(generated, reference, None, None, window, variant=variant).local_diversity
+    distances = _distances(generated, reference, variant)
+    return float(_nearest(distances, 0, window, variant).mean())
 
 
 def patch_scores(
     generated: np.ndarray,
     reference: np.ndarray,
-    coverage_window: int | None = 30,
-    min_segment: int | None = 30,
-    local_window: int | None = 15,
     *,
     threshold: float | None = None,
     variant: str = "ganimator",
 ) -> PatchScores:
-    """Return coverage, global and local diversity from one distance matrix; NaN if its window is
-    None.
+    """Return coverage, global and local diversity from one distance matrix, in their usual windows.
 
     Args:
         generated: (L, D) frames.
         reference: (N, D) frames.
-        coverage_window: see `coverage`.
-        min_segment: see `global_diversity`.
-        local_window: see `local_diversity`.
-        threshold: see `coverage`.
+        threshold: see `coverage`; "paper" has no default, and no coverage (NaN) without one.
         variant: see the module docstring.
 
     Raises:
@@ -179,37 +166,13 @@ def patch_scores(
         >>> patch_scores(np.eye(60), np.eye(60))
         PatchScores(coverage=1.0, global_diversity=0.0, local_diversity=0.0)
     """
-    _check_variant(variant)
-    generated, reference = _frames(generated, "generated"), _frames(reference, "reference")
-    if generated.shape[1] != reference.shape[1]:
-        raise EvaluationError(
-            f"generated has {generated.shape[1]} numbers a frame, reference "
-            f"{reference.shape[1]}: they must be features of one kind and rig"
-        )
-    if len(generated) * len(reference) > _MOST_PAIRS:
-        raise EvaluationError(
-            f"{len(generated)} frames against {len(reference)} would take "
-            f"{8e-9 * len(generated) * len(reference):.0f} GB; compare shorter pieces"
-        )
-    if coverage_window is not None:
-        _check_window(coverage_window, reference, generated, variant, "reference")
-        threshold = _threshold(threshold, variant)
-    if min_segment is not None:
-        _check_segments(min_segment, len(generated), len(reference))
-    if local_window is not None:
-        _check_window(local_window, generated, reference, variant, "generated")
-
-    distances = frame_distances(generated, reference, squared=variant == "paper")
-    covered = overall = local = np.nan
-    if coverage_window is not None:
-        _, sums = least_window_sums(distances, coverage_window)
-        covered = (_nearest(sums, coverage_window, variant) < threshold).mean()
-    if min_segment is not None:
-        overall = segmentation_cost(distances, min_segment) / len(generated)
-    if local_window is not None:
-        sums, _ = least_window_sums(distances, local_window)
-        local = _nearest(sums, local_window, variant).mean()
-    return PatchScores(float(covered), float(overall), float(local))
+    distances = _distances(generated, reference, variant)
+    has_threshold = threshold is not None or variant == "ganimator"
+    return PatchScores(
+        _coverage(distances, 30, threshold, variant) if has_threshold else np.nan,
+        _segmentation(distances, 30),
+        float(_nearest(distances, 0, 15, variant).mean()),
+    )
 
 
 def patch_values(
@@ -240,19 +203,10 @@ def patch_values(
         >>> {key: round(value, 3) for key, value in found.items()}
         {'coverage': 100.0, 'global_diversity': 0.0, 'local_diversity': 0.0}
     """
-    _check_size(motion, recording)
-    scores = patch_scores(
-        patch_features(motion, patches, joints=joints),
-        patch_features(recording, patches, joints=joints),
-        None if patches == "paper" and threshold is None else 30,
-        threshold=threshold,
-        variant=patches,
-    )
-    return {
-        "coverage": 100.0 * scores.coverage,
-        "global_diversity": scores.global_diversity,
-        "local_diversity": scores.local_diversity,
-    }
+    _check_pairs(motion.n_frames, recording.n_frames)
+    ours, theirs = (patch_features(m, patches, joints=joints) for m in (motion, recording))
+    scores = patch_scores(ours, theirs, threshold=threshold, variant=patches)
+    return vars(scores) | {"coverage": 100.0 * scores.coverage}
 
 
 def intra_diversity_of(
@@ -269,7 +223,7 @@ def intra_diversity_of(
         >>> intra_diversity_of(motion, ["LeftArm"], patches="paper")
         0.0
     """
-    _check_size(motion, motion)
+    _check_pairs(motion.n_frames, motion.n_frames)
     return intra_diversity(patch_features(motion, patches, joints=joints))
 
 
@@ -298,17 +252,19 @@ def inter_diversity(
         >>> inter_diversity([sample, sample]), inter_diversity([sample, sample + 3])
         (0.0, 3.0)
     """
-    if variant not in ("nearest", "aligned"):
-        raise EvaluationError(f"variant {variant!r}; expected nearest or aligned")
-    arrays = _samples(samples, least=2)
+    check_choice("variant", variant, ("nearest", "aligned"))
+    arrays = _samples(samples)
+    lengths = sorted({len(array) for array in arrays})
+    refuse(
+        (len(arrays) < 2, f"{counted(len(arrays), 'sample')}; at least 2 are needed"),
+        (
+            variant == "aligned" and len(lengths) > 1,
+            f"samples of {lengths[0]} to {lengths[-1]} frames; variant aligned needs one length",
+        ),
+    )
     pairs = [(arrays[i], arrays[i - 1]) for i in range(len(arrays))]
     if variant == "nearest":
         return float(np.mean([local_diversity(a, b, window) for a, b in pairs]))
-    lengths = sorted({len(array) for array in arrays})
-    if len(lengths) > 1:
-        raise EvaluationError(
-            f"samples of {lengths[0]} and {lengths[-1]} frames; variant aligned needs one length"
-        )
     return float(np.mean([np.linalg.norm(a - b) / len(a) for a, b in pairs]))
 
 
@@ -332,9 +288,10 @@ def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15
         >>> intra_diversity(np.array([[0.0], [3.0], [0.0], [3.0], [9.0]]), window=1)
         1.5
     """
-    is_one, values = isinstance(samples, np.ndarray) and samples.ndim == 2, []
-    for frames in _samples([np.asarray(samples)] if is_one else list(samples), least=1):
-        _check_window(window, frames, frames, "ganimator", "sample")
+    values = []
+    is_one = isinstance(samples, np.ndarray) and samples.ndim == 2
+    for frames in _samples([np.asarray(samples)] if is_one else list(samples)):
+        _check_length("window", window, len(frames) - 1)
         apart = np.sqrt(window_sums(frame_distances(frames, frames, squared=True), window))
         values.append(apart[:-1, :-1].mean() / window)
     return float(np.mean(values))
@@ -368,10 +325,9 @@ def patch_features(
         >>> patch_features(motion, "paper", joints="all").tolist()
         [[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]]
     """
-    _check_variant(variant)
+    check_choice("variant", variant, VARIANTS)
     if isinstance(joints, str):
-        if joints not in ("body", "all"):
-            raise MotionError(f"joints: {joints!r}; expected body, all, or a list of joint names")
+        check_choice("joints (a list of names, or a word):", joints, ("body", "all"))
         joints = motion.skeleton.names if joints == "all" else body_joints(motion.skeleton)
     rotations = motion.rotations[:, [motion.skeleton.index(name) for name in joints]]
     if variant == "paper":
@@ -384,89 +340,63 @@ def patch_features(
     return blocks.reshape(motion.n_frames, -1)
 
 
-def _check_size(one: Motion, other: Motion) -> None:
-    if one.n_frames * other.n_frames > PATCH_PAIRS:
+def _distances(generated: np.ndarray, reference: np.ndarray, variant: str) -> np.ndarray:
+    """Return (L, N) distances of frames, squared in the variant "paper"."""
+    check_choice("variant", variant, VARIANTS)
+    generated, reference = checked_rows({"generated": generated, "reference": reference})
+    _check_pairs(len(generated), len(reference), MOST_PAIRS)
+    return frame_distances(generated, reference, squared=variant == "paper")
+
+
+def _coverage(distances: np.ndarray, window: int, threshold: float | None, variant: str) -> float:
+    if threshold is None and variant == "ganimator":
+        threshold = THRESHOLD
+    if threshold is None or not 0 < threshold < np.inf:
         raise EvaluationError(
-            f"{one.n_frames} × {other.n_frames} frames are too many to compare patch by patch; "
-            "cut the clips"
+            f"threshold is {threshold}; coverage takes a number above 0, for which the variant "
+            '"paper" has no default: its authors give none'
         )
+    return float((_nearest(distances, 1, window, variant) < threshold).mean())
 
 
-def _nearest(sums: np.ndarray, window: int, variant: str) -> np.ndarray:
-    """Return (W,) distances of the query windows from their least sums (L - w + 1,)."""
-    return np.sqrt(sums) if variant == "paper" else sums[:-1] / window
-
-
-def _threshold(threshold: float | None, variant: str) -> float:
-    if threshold is None:
-        if variant == "paper":
-            raise EvaluationError(
-                'coverage in the variant "paper" needs a threshold: its authors give none'
+def _segmentation(distances: np.ndarray, min_segment: int) -> float:
+    _check_length("min_segment", min_segment, min(distances.shape))
+    cost = segmentation_cost(distances, min_segment) / len(distances)
+    if not np.isfinite(cost):
+        raise EvaluationError(
+            "{} generated frames cannot be cut into pieces of at most {} (the reference has no "
+            "more) and at least min_segment, {}: choose a shorter one".format(
+                *distances.shape, min_segment
             )
-        return THRESHOLD
-    if not (np.isfinite(threshold) and threshold > 0):
-        raise EvaluationError(f"threshold is {threshold!r}; expected a positive number")
-    return threshold
+        )
+    return cost
 
 
-def _check_variant(variant: str) -> None:
-    if variant not in VARIANTS:
-        raise EvaluationError(f"variant {variant!r}; expected {' or '.join(VARIANTS)}")
+def _nearest(distances: np.ndarray, axis: int, window: int, variant: str) -> np.ndarray:
+    """Return (W,) distances of windows along an axis of (L, N) frame distances from the nearest
+    ones along the other.
+    """
+    is_published = variant == "ganimator"  # its code leaves out the last window
+    most = min(distances.shape[axis] - is_published, distances.shape[1 - axis])
+    _check_length("window", window, most)
+    sums = least_window_sums(distances, window)[axis]
+    return sums[:-1] / window if is_published else np.sqrt(sums)
 
 
-def _frames(values: np.ndarray, what: str) -> np.ndarray:
-    if isinstance(values, Motion):
-        raise EvaluationError(f"{what} is a Motion; give patch_features(motion, variant)")
-    try:
-        frames = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise EvaluationError(f"{what} is not an array of numbers: {error}") from None
-    if frames.ndim != 2 or not frames.size:
-        raise EvaluationError(f"{what} has shape {frames.shape}; expected (frames, numbers)")
-    if not np.isfinite(frames).all():
-        bad = np.argwhere(~np.isfinite(frames))[0]
-        raise EvaluationError(f"{what} holds {frames[tuple(bad)]} in frame {bad[0]}")
-    return frames
-
-
-def _samples(samples: Sequence[np.ndarray], least: int) -> list[np.ndarray]:
-    arrays = [_frames(sample, f"sample {i}") for i, sample in enumerate(samples)]
-    if len(arrays) < least:
-        raise EvaluationError(f"{counted(len(arrays), 'sample')}; at least {least} needed")
-    widths = sorted({array.shape[1] for array in arrays})
-    if len(widths) > 1:
-        raise EvaluationError(f"samples have {widths[0]} and {widths[-1]} numbers a frame")
-    return arrays
-
-
-def _check_window(
-    window: int, queries: np.ndarray, searched: np.ndarray, variant: str, what: str
-) -> None:
-    """Check that windows of `queries` (L, D) can be searched for in `searched` (N, D)."""
-    _check_count("window", window)
-    need = window + (variant == "ganimator")
-    if len(queries) < need or len(searched) < window:
-        short = len(queries) if len(queries) < need else len(searched)
+def _check_pairs(n: int, m: int, most: int = PATCH_PAIRS) -> None:
+    if n * m > most:
         raise EvaluationError(
-            f"window is {window} frames; {what} needs at least {need} and the other {window}, "
-            f"but one has {short}"
+            f"{n} frames against {m} would take {8e-9 * n * m:.0f} GB; compare shorter pieces"
         )
 
 
-def _check_segments(shortest: int, n_generated: int, n_reference: int) -> None:
-    _check_count("min_segment", shortest)
-    if min(n_generated, n_reference) < shortest:
+def _check_length(name: str, value: int, most: int) -> None:
+    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
         raise EvaluationError(
-            f"min_segment is {shortest} frames; generated has {n_generated}, "
-            f"reference {n_reference}"
-        )
-    if -(-n_generated // n_reference) * shortest > n_generated:
-        raise EvaluationError(
-            f"{n_generated} generated frames cannot be cut into segments of {shortest} to "
-            f"{n_reference} frames (the reference has no more); choose a shorter min_segment"
+            f"{name} is {value!r}; expected a whole number of frames from 1 to {most}: longer ones "
+            "do not fit into both motions"
         )
 
 
-def _check_count(name: str, value: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise EvaluationError(f"{name} is {value!r}; expected a whole number of frames from 1")
+def _samples(samples: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return checked_rows({f"sample {i}": sample for i, sample in enumerate(samples)})

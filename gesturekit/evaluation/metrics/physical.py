@@ -17,17 +17,19 @@ joint's mean rotation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from gesturekit.corpus.alignment import arm_speed
 from gesturekit.errors import MotionError
+from gesturekit.evaluation.metrics.inputs import check_frames
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import contact_labels, foot_positions
 from gesturekit.motion.model_joints import first_moving_joint
-from gesturekit.motion.parts import SIDES, body_joints, find_parts, is_upper_body
+from gesturekit.motion.parts import body_joints, find_parts, is_upper_body
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import (
     invert_quaternions,
@@ -35,12 +37,13 @@ from gesturekit.motion.rotations import (
     multiply_quaternions,
     rotation_vector_from_quaternion,
 )
-from gesturekit.wording import counted
 
 CUTOFF = 6.0
 """Hz; the -6 dB frequency of the low-pass, above the frequencies of gestures."""
 HARDLY_MOVING = 0.05
 """Below this fraction of the recording's arm speed, sync is not informative."""
+BINS = np.linspace(0.0, 0.49, 50)
+"""Edges of GENEA's histogram bins, m/s on the reference body."""
 NEAR = 0.025
 """H of Zhang et al. 2018: height above standing from which a foot point is in the air, metres on
 the reference body."""
@@ -62,7 +65,7 @@ def wrist_speed(motion: Motion) -> np.ndarray:
         (T - 1,) metres per second.
 
     Raises:
-        MotionError: fewer than 2 frames, or wrists that cannot be identified.
+        MotionError: fewer than 2 frames, or see `wrist_positions`.
 
     Examples:
         A body that is carried along at 1 m/s:
@@ -73,11 +76,27 @@ def wrist_speed(motion: Motion) -> np.ndarray:
         >>> round(float(wrist_speed(carried).mean()), 6)
         1.0
     """
-    arms = find_parts(motion.skeleton).arms
-    wrists = [wrist for side in SIDES if (wrist := arms[side].wrist) is not None]
-    if len(wrists) < len(SIDES):
-        raise MotionError("the rig has no wrist joints whose speed could be taken")
-    return joint_speed(motion, wrists).mean(axis=1)
+    steps = derivative(wrist_positions(motion), motion.fps, 1, None)
+    return np.linalg.norm(steps, axis=-1).mean(axis=1)
+
+
+def wrist_positions(motion: Motion) -> np.ndarray:
+    """Return the (T, 2, 3) world positions of the left and the right wrist, metres.
+
+    On a rig that ends at the elbows, they are those of the forearms' end sites.
+
+    Raises:
+        MotionError: arms that cannot be identified, or a forearm without an end.
+    """
+    skeleton, places = motion.skeleton, []
+    for side, arm in find_parts(skeleton).arms.items():
+        if arm.wrist is not None:
+            places.append(motion.positions(arm.wrist))
+        elif arm.elbow in skeleton.end_sites:
+            places.append(motion.end_positions()[arm.elbow][:, 0])
+        else:
+            raise MotionError(f"the rig has no {side} wrist, and so no hand to measure")
+    return np.stack(places, axis=1)
 
 
 def joint_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
@@ -109,6 +128,91 @@ def joint_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarr
 def relative_speed(motion: Motion, joints: Sequence[str] | None = None) -> np.ndarray:
     """Return (T - 1, J) `joint_speed` divided by `body_scale`: m/s on the reference body."""
     return joint_speed(motion, joints) / body_scale(motion.skeleton)
+
+
+@dataclass
+class SpeedHistogram:
+    """Histogram of joint speeds as in the GENEA challenges, in bins of 1 cm/s up to 49 cm/s.
+
+    Attributes:
+        counts: (49,) values in each bin, m/s on the reference body.
+        beyond: number of faster values, which are not in the distribution.
+
+    Examples:
+        3 m/s is beyond the last bin:
+
+        >>> histogram = SpeedHistogram.of([np.array([0.002, 0.005, 0.015, 3.0])])
+        >>> histogram.counts[:3].tolist(), histogram.beyond
+        ([2, 1, 0], 1)
+    """
+
+    counts: np.ndarray = field(default_factory=lambda: np.zeros(len(BINS) - 1, dtype=np.int64))
+    beyond: int = 0
+
+    def to_json(self) -> dict[str, int | list[int]]:
+        """Return plain values."""
+        return {"counts": self.counts.tolist(), "beyond": self.beyond}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> SpeedHistogram:
+        """Return the histogram that `to_json` described."""
+        return cls(np.array(values["counts"], dtype=np.int64), int(values["beyond"]))
+
+    @classmethod
+    def of(cls, speeds: Iterable[np.ndarray]) -> SpeedHistogram:
+        """Return the histogram of the speeds (any shape) of several clips."""
+        counted = ((np.histogram(part, BINS)[0], np.size(part)) for part in speeds)
+        return cls.sum_of(cls(counts, int(size - counts.sum())) for counts, size in counted)
+
+    @classmethod
+    def sum_of(cls, histograms: Iterable[SpeedHistogram]) -> SpeedHistogram:
+        """Return the sum of histograms."""
+        whole = cls()
+        for histogram in histograms:
+            whole.counts += histogram.counts
+            whole.beyond += histogram.beyond
+        return whole
+
+
+def hellinger(one: SpeedHistogram, other: SpeedHistogram) -> float:
+    """Return the Hellinger distance sqrt(1 - Σ sqrt(h₁ h₂)): 0 for equal, 1 for disjoint ones.
+
+    Speeds of all joints are pooled, as in genea_numerical_evaluations.
+
+    Raises:
+        MotionError: an empty histogram.
+
+    Examples:
+        Equal histograms, and two that have no bin in common:
+
+        >>> slow, fast = (SpeedHistogram.of([np.array([speed])]) for speed in (0.105, 0.305))
+        >>> hellinger(slow, slow), round(hellinger(slow, fast), 6)
+        (0.0, 1.0)
+    """
+    if not one.counts.sum() or not other.counts.sum():
+        raise MotionError(f"no joint is slower than {BINS[-1]:g} m/s, so that none is counted")
+    roots = [np.sqrt(h.counts / h.counts.sum()) for h in (one, other)]
+    # 1 - Σ sqrt(h1 h2) = Σ (sqrt h1 - sqrt h2)² / 2, which is exactly 0 for equal ones.
+    return float(np.linalg.norm(roots[0] - roots[1]) / np.sqrt(2.0))
+
+
+def speed_distance(motion: Motion, recording: Motion, joints: Sequence[str]) -> float:
+    """Return `hellinger` of the joint speeds of a motion and its recording.
+
+    Raises:
+        MotionError: see `hellinger`.
+
+    Examples:
+        A recording against itself, and a body that never moves against one at 0.3 m/s:
+
+        >>> rig = gk.Skeleton(("hips",), (-1,), [[0, 1, 0]])
+        >>> still, path = np.tile([0.0, 0, 0, 1], (9, 1, 1)), np.arange(9)[:, None] * [0.0101, 0, 0]
+        >>> stands, goes = (gk.Motion(rig, still, speed * path, 30) for speed in (0, 1))
+        >>> speed_distance(goes, goes, ["hips"]), round(speed_distance(stands, goes, ["hips"]), 6)
+        (0.0, 1.0)
+    """
+    both = (SpeedHistogram.of([relative_speed(m, joints)]) for m in (motion, recording))
+    return hellinger(*both)
 
 
 def acceleration(
@@ -262,14 +366,8 @@ def standing_heights(motion: Motion) -> np.ndarray:
         >>> (standing_heights(high) - standing_heights(low)).round(6).tolist()
         [0.5, 0.5, 0.5, 0.5]
     """
-    heights = _feet(motion)[..., 1]
-    resting = contact_labels(motion) > 0
-    return np.array(
-        [
-            np.median(point[rests]) if rests.any() else np.quantile(point, 0.1)
-            for point, rests in zip(heights.T, resting.T, strict=True)
-        ]
-    )
+    points = zip(_feet(motion)[..., 1].T, contact_labels(motion).T > 0, strict=True)
+    return np.array([np.median(y[on]) if on.any() else np.quantile(y, 0.1) for y, on in points])
 
 
 def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
@@ -295,10 +393,8 @@ def foot_skate(motion: Motion, heights: np.ndarray | None = None) -> float:
         >>> round(foot_skate(slide), 6)
         1.0
     """
-    if motion.n_frames < 2:
-        raise MotionError(f"the motion has {motion.n_frames} frame; at least 2 are needed")
     feet = _feet(motion)
-    steps = np.diff(feet[..., [0, 2]], axis=0) * motion.fps
+    steps = derivative(feet[..., [0, 2]], motion.fps, 1, None)
     above = 0.5 * (feet[1:, :, 1] + feet[:-1, :, 1]) - _standing(motion, heights)
     above = above / (NEAR * body_scale(motion.skeleton))
     weight = 2.0 - 2.0 ** np.clip(above, 0.0, 1.0)
@@ -388,7 +484,7 @@ def bone_length_change(motion: Motion, joints: Sequence[str] | None = None) -> f
 
 
 def _feet(motion: Motion) -> np.ndarray:
-    """Return the (T, F, 3) foot points; raise MotionError if there are none."""
+    """Return the (T, F, 3) foot points, metres; raise a MotionError if there are none."""
     feet = foot_positions(motion)
     if not feet.shape[1]:
         legs = "legs" if is_upper_body(motion.skeleton) else "two legs that can be identified"
@@ -541,11 +637,7 @@ def derivative(paths: np.ndarray, fps: float, order: int, cutoff: float | None) 
     Raises:
         MotionError: too few frames, or a cutoff at or above half the frame rate.
     """
-    least = _DEGREE + 1 if cutoff is not None else order + 1
-    if len(paths) < least:
-        raise MotionError(
-            f"the motion has {counted(len(paths), 'frame')}; at least {least} are needed"
-        )
+    check_frames(paths, _DEGREE + 1 if cutoff is not None else order + 1, fps)
     if cutoff is None:
         return np.diff(paths, n=order, axis=0) * fps**order
     from scipy.interpolate import make_interp_spline

@@ -14,10 +14,10 @@ import numpy as np
 
 from audio_features import Wave
 from audio_features.acoustic import import_librosa
-from gesturekit.errors import MotionError
 from gesturekit.evaluation.metrics.hands import upper_joints
+from gesturekit.evaluation.metrics.inputs import check_choice, check_frames
 from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
-from gesturekit.evaluation.metrics.sync import MIN_SHIFT
+from gesturekit.evaluation.metrics.sync import MIN_SHIFT, against_chance
 from gesturekit.motion import Motion
 from gesturekit.motion.parts.body_size import body_scale
 
@@ -194,10 +194,7 @@ def consistency(
 
 
 def joint_beats(
-    motion: Motion,
-    *,
-    mean_speed: np.ndarray | None = None,
-    joints: Sequence[str] | None = None,
+    motion: Motion, *, mean_speed: np.ndarray | None = None, joints: Sequence[str] | None = None
 ) -> list[np.ndarray]:
     """Return the beats (M,) of each joint, seconds; see `beat_consistency`."""
     names = upper_joints(motion.skeleton) if joints is None else joints
@@ -235,8 +232,7 @@ def motion_beats(
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import argrelextrema
 
-    if variant not in ("seconds", "bailando"):
-        raise MotionError(f"beat alignment variant {variant!r}; expected seconds or bailando")
+    check_choice("beat alignment variant", variant, ("seconds", "bailando"))
     sigma: float
     if variant == "bailando":
         speed, sigma = joint_speed(motion, joints), SMOOTHING_FRAMES
@@ -288,8 +284,7 @@ def music_beats(wave: Wave) -> np.ndarray:
 
 def central_speed(motion: Motion, joints: Sequence[str]) -> np.ndarray:
     """Return (T, J) speeds by central differences, one-sided at both ends, as in BEAT, m/s."""
-    if motion.n_frames < 3:
-        raise MotionError(f"the motion has {motion.n_frames} frames; at least 3 are needed")
+    check_frames(motion, 3, motion.fps)
     return np.linalg.norm(np.gradient(joint_paths(motion, joints), 1 / motion.fps, axis=0), axis=-1)
 
 
@@ -329,20 +324,13 @@ def beat_result(
         return BeatResult(0.0, 0.0, 0.0, 0.0, 0.0, len(beats), "the motion has no beats")
     score = float(np.mean([_met(beats[None], times, sigma)[0] for times in found]))
     shifts = np.arange(MIN_SHIFT + SHIFT_STEP, duration - MIN_SHIFT, SHIFT_STEP)
-    if len(shifts) == 0:
-        note = f"too short ({duration:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
-        return BeatResult(score, 0.0, 0.0, 0.0, count, len(beats), note)
-    shifts = shifts[:: -(-len(shifts) // MOST_SHIFTS)]
-    blocks = np.array_split(shifts, -(-len(shifts) * len(beats) // _BLOCK))
-    chance = np.concatenate(
-        [
-            np.mean([_met(moved, times, sigma) for times in found], axis=0)
-            for moved in ((beats[None] + block[:, None]) % duration for block in blocks)
-        ]
-    )
-    mean, sd = float(chance.mean()), float(chance.std())
-    z = (score - mean) / sd if sd > 1e-9 else 0.0
-    return BeatResult(score, mean, sd, z, count, len(beats))
+    shifts = shifts[:: max(1, -(-len(shifts) // MOST_SHIFTS))]
+    chance = []
+    for block in np.array_split(shifts, len(shifts) * len(beats) // _BLOCK + 1):
+        moved = (beats[None] + block[:, None]) % duration
+        chance.append(np.mean([_met(moved, times, sigma) for times in found], axis=0))
+    mean, sd, z, note = against_chance(score, np.concatenate(chance), duration)
+    return BeatResult(score, mean, sd, z, count, len(beats), note)
 
 
 def _met(beats: np.ndarray, times: np.ndarray, sigma: float) -> np.ndarray:

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 
 from audio_features import FeatureTrack
-from gesturekit.errors import MotionError
+from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.metrics.inputs import check_choice, refuse
 from gesturekit.evaluation.metrics.physical import joint_paths
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.model_joints import first_moving_joint
@@ -75,7 +76,7 @@ def cca(generated: np.ndarray, reference: np.ndarray) -> float:
         reference: (T, E).
 
     Raises:
-        MotionError: different or too few frames, or a sequence that does not move.
+        EvaluationError: different or too few frames, or a sequence that does not move.
 
     Examples:
         A linear function of the recorded poses:
@@ -89,19 +90,17 @@ def cca(generated: np.ndarray, reference: np.ndarray) -> float:
     from sklearn.cross_decomposition import CCA
     from sklearn.exceptions import ConvergenceWarning
 
-    if len(generated) != len(reference):
-        raise MotionError(
-            f"CCA compares frame by frame; there are {len(generated)} and {len(reference)} frames"
-        )
+    n, m = len(generated), len(reference)
     sides = [
         side[:, side.std(axis=0) > _STILL * np.abs(side).max(initial=0.0)]
         for side in (generated, reference)
     ]
-    for side, what in zip(sides, ("generated motion", "reference"), strict=True):
-        if side.shape[1] == 0:
-            raise MotionError(f"CCA: the {what} does not move")
-    if len(generated) < 3:
-        raise MotionError(f"CCA needs at least 3 frames; there are {len(generated)}")
+    refuse(
+        (n != m, f"CCA compares frame by frame; there are {n} and {m} frames"),
+        (not sides[0].shape[1], "CCA: the generated motion does not move"),
+        (not sides[1].shape[1], "CCA: the reference does not move"),
+        (n < 3, f"CCA needs at least 3 frames; there are {n}"),
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         first, second = CCA(n_components=1, max_iter=1500).fit_transform(*sides)
@@ -226,7 +225,7 @@ def srgr(
         threshold: metres.
 
     Raises:
-        MotionError: shapes that differ, or an unknown variant.
+        EvaluationError: shapes that differ, or an unknown variant.
 
     Examples:
         One of two joints is further than 0.1 m away, where the relevance is the mean of BEAT:
@@ -237,12 +236,11 @@ def srgr(
         0.5
     """
     if generated.shape != reference.shape or len(semantic) != len(generated):
-        raise MotionError(
+        raise EvaluationError(
             f"SRGR: poses {generated.shape} and {reference.shape} with {len(semantic)} semantic "
             "values; all must have the same frames and joints"
         )
-    if variant not in _DISTANCES:
-        raise MotionError(f"SRGR variant {variant!r}; expected {' or '.join(_DISTANCES)}")
+    check_choice("SRGR variant", variant, _DISTANCES)
     distance = np.linalg.norm(generated - reference, ord=_DISTANCES[variant], axis=-1)
     return float(((distance < threshold) * semantic[:, None]).mean() / _SEMANTIC_MEAN)
 
@@ -257,7 +255,7 @@ def vertex_mse(generated: np.ndarray, reference: np.ndarray) -> float:
         reference: the same of the recording.
 
     Raises:
-        MotionError: shapes that differ, or no frames.
+        EvaluationError: shapes that differ, or no frames.
 
     Examples:
         Of four coordinates in two frames, one is 0.2 off in one of them:
@@ -290,7 +288,7 @@ def vertex_lvd(generated: np.ndarray, reference: np.ndarray) -> float:
 
 def _vertex_differences(generated: np.ndarray, reference: np.ndarray) -> np.ndarray:
     if generated.shape != reference.shape or not generated.size:
-        raise MotionError(
+        raise EvaluationError(
             f"vertices {generated.shape} and {reference.shape}: both must be (frames, vertices, 3)"
         )
     return np.asarray(generated, np.float64) - reference

@@ -112,11 +112,24 @@ def sync(motion: Motion, wave: Wave, *, max_lag: float = 0.3) -> SyncResult:
     value, lag = float(r[best, 0]), float(lags[best] / fps)
     shift = np.arange(n)
     chance = r.max(axis=0)[np.minimum(shift, n - shift) > MIN_SHIFT * fps]
-    if len(chance) == 0:
-        note = f"too short ({n / fps:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
-        return SyncResult(value, lag, 0.0, 0.0, 0.0, note)
+    return SyncResult(value, lag, *against_chance(value, chance, n / fps))
+
+
+def against_chance(
+    value: float, chance: np.ndarray, seconds: float
+) -> tuple[float, float, float, str]:
+    """Return the chance level of a value, its standard deviation, the value's z-score, and a note.
+
+    Args:
+        value: that of a motion with its sound.
+        chance: (S,) values of all shifts of the sound of more than 1 s; there may be none.
+        seconds: length of both.
+    """
+    if not len(chance):
+        note = f"too short ({seconds:.1f} s) to shift by more than {MIN_SHIFT:g} s: chance unknown"
+        return 0.0, 0.0, 0.0, note
     mean, sd = float(chance.mean()), float(chance.std())
-    return SyncResult(value, lag, mean, sd, (value - mean) / sd if sd > 0 else 0.0)
+    return mean, sd, (value - mean) / sd if sd > 1e-9 else 0.0, ""
 
 
 def sync_of_moving_arms(motion: Motion, recording: Motion, wave: Wave) -> SyncResult:

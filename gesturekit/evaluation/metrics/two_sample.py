@@ -3,12 +3,16 @@
 A window is 1 s of body-centred motion (`hands.body_centred`): positions of the upper-body joints,
 and their velocities times 0.2 s. The distance of two windows is the root of the mean over frames
 and joints of the squared difference of both, metres. Windows begin every 0.5 s.
+
+A whole body can be new where each arm is copied from another place. Windows of one arm are the
+local rotations of its shoulder and elbow; their distance is the root mean square of the angles
+between these.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,8 +27,9 @@ from gesturekit.evaluation.metrics.hands import (
     velocities,
     window_starts,
 )
-from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.parts import left_right_pairs
+from gesturekit.evaluation.metrics.inputs import at_rate
+from gesturekit.motion import Motion
+from gesturekit.motion.parts import SIDES, find_parts, left_right_pairs
 
 WINDOW, HOP = 1.0, 0.5
 """Length of windows, and the time between their starts, seconds."""
@@ -41,7 +46,12 @@ MOST_WINDOWS = 2000
 LOW_QUANTILE = 0.05
 """Quantile of the distances that shows single copied windows."""
 
-_BLOCK = 2000  # windows that are in memory at a time
+ARM_STEP = 3
+"""Every which frame of a window is compared of arms."""
+ARM_KEYS = {side: f"copying_{side}" for side in SIDES}
+"""Keys of `definitions` by side."""
+
+_BLOCK, _ARM_BLOCK = 2000, 4000  # windows that are in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +62,7 @@ class MotionWindows:
         frames: (T, D') positions and velocities of each clip, scaled.
         clips: (N,) index of the clip of each window.
         first: (N,) first frame of each window within its clip.
+        step: number of frames from each that a window has to the next.
 
     Examples:
         Windows of 1 s that begin every 0.5 s, rounded down to frames of 25 fps:
@@ -61,9 +72,10 @@ class MotionWindows:
         (3, [0.0, 0.48, 1.0])
     """
 
-    frames: tuple[np.ndarray, ...]
+    frames: Sequence[np.ndarray]
     clips: np.ndarray
     first: np.ndarray
+    step: int = 1
 
     def __len__(self) -> int:
         return len(self.clips)
@@ -75,15 +87,13 @@ class MotionWindows:
 
     @property
     def values(self) -> np.ndarray:
-        """(N, D) rows whose Euclidean distance is the distance defined above, metres."""
+        """(N, D) rows whose Euclidean distance is the distance of windows, for bodies in metres."""
         return self.rows(np.arange(len(self)))
 
     def rows(self, kept: np.ndarray) -> np.ndarray:
         """Return the rows (K, D) of `values` of some windows, (K,) indices."""
-        values = np.empty((len(kept), _WIDTH * self.frames[0].shape[1]))
-        for row, clip, first in zip(values, self.clips[kept], self.first[kept]):
-            row[:] = self.frames[clip][first : first + _WIDTH].ravel()
-        return values
+        at = zip(self.clips[kept], self.first[kept])
+        return np.stack([self.frames[c][i : i + _WIDTH : self.step].ravel() for c, i in at])
 
 
 @dataclass(frozen=True)
@@ -144,16 +154,17 @@ def motion_windows(
     """
     motions = as_list(motions)
     joints = upper_joints(motions[0].skeleton) if joints is None else joints
-    paths = [body_centred(motion, joints) for motion in motions]
-    if mirrored:
-        turned = [_mirrored(path, joints, m.skeleton) for path, m in zip(paths, motions)]
-        paths = [path if turn is None else turn for path, turn in zip(paths, turned)]
-    frames = tuple(map(_frames, paths))
-    first = [window_starts(len(clip), _WIDTH, HOP * FPS) for clip in frames]
+    copies = (_with_mirrored(motion, joints) for motion in motions)
+    return _cut([_frames(paths[-1 if mirrored else 0]) for paths in copies], HOP)
+
+
+def _cut(frames: Sequence[np.ndarray], hop: float, step: int = 1) -> MotionWindows:
+    """Return the windows of clips (T, D) that begin every `hop` seconds."""
+    first = [window_starts(len(clip), _WIDTH, hop * FPS) for clip in frames]
     if not any(map(len, first)):
         raise MotionError(f"no clip is as long as a window of {WINDOW:g} s")
     clips = np.repeat(np.arange(len(frames)), [len(starts) for starts in first])
-    return MotionWindows(frames, clips, np.concatenate(first))
+    return MotionWindows(frames, clips, np.concatenate(first), step)
 
 
 def two_sample_accuracy(one: MotionWindows, other: MotionWindows, *, seed: int = 0) -> float:
@@ -191,10 +202,8 @@ def two_sample_votes(
     Raises:
         MotionError: a set of fewer than 2 windows, or windows of different joints.
     """
-    _require_same_joints(one, other)
+    _check_sets(one, other, least=2)
     size = min(len(one), len(other), MOST_WINDOWS)
-    if size < 2:
-        raise MotionError("a two-sample test needs at least 2 windows of either set")
     rng = np.random.default_rng(seed)
     kept = [_kept(windows, rng) for windows in (one, other)]
     values = np.concatenate([one.rows(kept[0]), other.rows(kept[1])])
@@ -233,7 +242,7 @@ def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int
         >>> within_reach(one, one), within_reach(large, one)
         (1.0, 0.0)
     """
-    _require_same_joints(generated, recorded)
+    _check_sets(generated, recorded)
     rng = np.random.default_rng(seed)
     generated, recorded = subsample(generated, rng), subsample(recorded, rng)
     rows = recorded.values
@@ -245,16 +254,11 @@ def within_reach(generated: MotionWindows, recorded: MotionWindows, *, seed: int
     if not len(nearest):
         raise MotionError(f"the recordings are too short: no two windows are {APART:g} s apart")
     distances = frame_distances(rows, generated.values)
-    size = len(recorded)
-    found = (
-        [
-            distances[:, rng.choice(len(generated), size, replace=False)].min(axis=1)
-            for _ in range(DRAWS)
-        ]
-        if len(generated) > size
-        else [distances.min(axis=1)]
-    )
-    return float((np.stack(found) < np.median(nearest)).mean())
+    draws = [np.arange(len(generated))]
+    if len(generated) > len(recorded):
+        draws = [rng.choice(len(generated), len(recorded), replace=False) for _ in range(DRAWS)]
+    found = np.stack([distances[:, drawn].min(axis=1) for drawn in draws])
+    return float((found < np.median(nearest)).mean())
 
 
 def copying(
@@ -313,7 +317,8 @@ def nearest_training(
     for frames in _training_copies(as_list(training), joints):
         first = window_starts(len(frames), _WIDTH, 1.0)
         for at in range(0, len(first), _BLOCK):
-            block = _windows(frames, first[at : at + _BLOCK])
+            block = frames[first[at : at + _BLOCK, None] + np.arange(_WIDTH)]
+            block = block.reshape(len(block), -1)
             bounds = frame_distances(averages, _averages(block))
             lower_to_nearest(nearest, bounds, rows, block)
     if not np.isfinite(nearest).all():
@@ -340,33 +345,26 @@ def _frames(paths: np.ndarray) -> np.ndarray:
     return both.reshape(len(paths), -1) / np.sqrt(_WIDTH * paths.shape[1])
 
 
-def _windows(frames: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Return (N, width · D) windows of frames (T, D)."""
-    return frames[starts[:, None] + np.arange(_WIDTH)].reshape(
-        len(starts), _WIDTH * frames.shape[1]
-    )
-
-
 def _training_copies(training: Sequence[Motion], joints: Sequence[str]) -> Iterator[np.ndarray]:
     """Yield frames of the training motions, and of mirrored and time-stretched copies."""
     for motion in training:
-        paths = body_centred(motion, joints)
-        turned = _mirrored(paths, joints, motion.skeleton)
-        for copy in [paths] if turned is None else [paths, turned]:
+        for copy in _with_mirrored(motion, joints):
             for stretch in STRETCHES:
                 yield _frames(_stretched(copy, stretch))
 
 
-def _mirrored(paths: np.ndarray, joints: Sequence[str], rig: Skeleton) -> np.ndarray | None:
-    """Return body-centred paths (T, J, 3) with left and right exchanged.
+def _with_mirrored(motion: Motion, joints: Sequence[str]) -> list[np.ndarray]:
+    """Return body-centred paths (T, J, 3), and those with left and right exchanged.
 
-    None if the counterpart of a joint is not among `joints`: it has no place to go.
+    The paths alone if the counterpart of a joint is not among `joints`: it has no place to go.
     """
-    swapped = {name: other for pair in left_right_pairs(rig) for name, other in (pair, pair[::-1])}
+    paths, pairs = body_centred(motion, joints), left_right_pairs(motion.skeleton)
+    swapped = {name: other for pair in pairs for name, other in (pair, pair[::-1])}
     counterparts = [swapped.get(name, name) for name in joints]
     if set(counterparts) != set(joints):
-        return None
-    return paths[:, [list(joints).index(name) for name in counterparts]] * (-1.0, 1.0, 1.0)
+        return [paths]
+    turned = paths[:, [list(joints).index(name) for name in counterparts]] * (-1.0, 1.0, 1.0)
+    return [paths, turned]
 
 
 def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
@@ -376,15 +374,14 @@ def _stretched(paths: np.ndarray, duration: float) -> np.ndarray:
     if duration == 1.0 or len(paths) < 2:
         return paths
     n = round((len(paths) - 1) * duration) + 1
-    return CubicSpline(np.arange(len(paths)), paths)(
-        np.arange(n) * (len(paths) - 1) / max(n - 1, 1)
-    )
+    times = np.arange(n) * (len(paths) - 1) / max(n - 1, 1)
+    return CubicSpline(np.arange(len(paths)), paths)(times)
 
 
 def subsample(windows: MotionWindows, rng: np.random.Generator) -> MotionWindows:
     """Return at most `MOST_WINDOWS` windows, chosen at random."""
     kept = _kept(windows, rng)
-    return MotionWindows(windows.frames, windows.clips[kept], windows.first[kept])
+    return replace(windows, clips=windows.clips[kept], first=windows.first[kept])
 
 
 def _kept(windows: MotionWindows, rng: np.random.Generator) -> np.ndarray:
@@ -394,15 +391,52 @@ def _kept(windows: MotionWindows, rng: np.random.Generator) -> np.ndarray:
     return np.sort(rng.choice(len(windows), MOST_WINDOWS, replace=False))
 
 
-def _require_same_joints(one: MotionWindows, other: MotionWindows) -> None:
-    """Raise an error for windows of different numbers of joints.
+def _check_sets(one: MotionWindows, other: MotionWindows, least: int = 1) -> None:
+    """Raise a MotionError for windows of different numbers of joints, or fewer than `least`."""
+    joints = [windows.frames[0].shape[1] // 6 for windows in (one, other)]
+    if joints[0] != joints[1] or min(len(one), len(other)) < least:
+        raise MotionError(
+            f"{len(one)} and {len(other)} windows of {joints[0]} and {joints[1]} joints cannot be "
+            f"compared: there must be {least} or more of either, cut with the same joints"
+        )
+
+
+def arm_windows(motions: Sequence[Motion], side: str, *, hop: float = HOP) -> MotionWindows:
+    """Return windows of one arm: 9 frames of the rotation matrices of its shoulder and elbow.
+
+    Args:
+        motions: any frame rate; those shorter than 1 s have no window.
+        side: "left" or "right".
+        hop: time between the starts of windows, seconds.
 
     Raises:
-        MotionError: they differ.
+        MotionError: body parts that cannot be identified, or no motion as long as a window.
     """
-    counts = [windows.frames[0].shape[1] // 6 for windows in (one, other)]
-    if counts[0] != counts[1]:
-        raise MotionError(
-            f"windows of {counts[0]} and {counts[1]} joints cannot be compared; cut both with the "
-            "same joints"
-        )
+    from scipy.spatial.transform import Rotation
+
+    frames = []
+    for motion in motions:
+        arm = find_parts(motion.skeleton).arms[side]
+        joints = [motion.skeleton.index(name) for name in (arm.shoulder, arm.elbow)]
+        rotations = at_rate(motion, FPS).rotations[:, joints]
+        frames.append(Rotation.from_quat(rotations.reshape(-1, 4)).as_matrix().reshape(-1, 18))
+    return _cut(frames, hop, ARM_STEP)
+
+
+def nearest_arm(windows: MotionWindows, training: Sequence[Motion], side: str) -> np.ndarray:
+    """Return the angle (N,) of windows of an arm to the nearest one of training, degrees.
+
+    Windows of the training motion, and of its mirrored copy, begin at every frame. The angle of a
+    rotation matrix R from the identity I is 2 asin(|R - I| / sqrt(8)), with the Frobenius norm.
+
+    Raises:
+        MotionError: see `arm_windows`.
+    """
+    rows, nearest = windows.values, np.full(len(windows), np.inf)
+    for copy in (training, [motion.mirror() for motion in training]):
+        kept = arm_windows(copy, side, hop=1.0 / FPS)
+        for at in range(0, len(kept), _ARM_BLOCK):
+            block = kept.rows(np.arange(at, min(at + _ARM_BLOCK, len(kept))))
+            nearest = np.minimum(nearest, frame_distances(rows, block, squared=True).min(axis=1))
+    mean = nearest / (rows.shape[1] // 9)
+    return np.degrees(2.0 * np.arcsin(np.minimum(np.sqrt(mean / 8.0), 1.0)))

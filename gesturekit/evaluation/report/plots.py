@@ -14,6 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.lines import Line2D
 
 from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES, definitions_of, shown_in
+from gesturekit.evaluation.metrics.physical import BINS
 from gesturekit.evaluation.results import Evaluation, Interval, ModelResult
 
 MODEL_COLOURS = (
@@ -153,9 +154,8 @@ def _histograms(evaluation: Evaluation) -> matplotlib.figure.Figure | None:
     axes = figure.subplots()
     for label, histogram, ink, dashes in sets:
         share = 100.0 * histogram.counts / histogram.counts.sum()
-        edges = 100.0 * np.linspace(0, histogram.top, len(share) + 1)
-        axes.stairs(share, edges, color=ink, lw=1.8, ls=dashes, label=label)
-    axes.set_xlim(0, 100.0 * sets[0][1].top)
+        axes.stairs(share, 100.0 * BINS, color=ink, lw=1.8, ls=dashes, label=label)
+    axes.set_xlim(0, 100.0 * BINS[-1])
     axes.set_ylim(0, 1.08 * axes.get_ylim()[1])
     axes.set_xlabel("joint speed, cm/s on a body of 1.7 m (bins of 1 cm/s)")
     axes.set_ylabel("share of values, %")

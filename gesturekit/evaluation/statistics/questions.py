@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.metrics.arms import ARM_KEYS
+from gesturekit.evaluation.metrics.two_sample import ARM_KEYS
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     ClipResult,

@@ -13,14 +13,22 @@ lengths of one dancer). Only kinetic features can have their values (variant "re
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.metrics.frame_rate import at_rate
-from gesturekit.evaluation.metrics.frechet.poses import motion_name, require_joints
+from gesturekit.evaluation.metrics.inputs import (
+    at_rate,
+    check_choice,
+    check_frames,
+    check_joints,
+    motion_name,
+)
+from gesturekit.evaluation.metrics.physical import wrist_positions
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points, foot_positions
 from gesturekit.motion.parts import SIDES, body_joints, find_parts
@@ -31,44 +39,42 @@ CLIP_SECONDS = 10.0
 KINDS = ("kinetic", "geometric")
 _VARIANTS = ("corrected", "released")
 _RELEASED_FPS = 60.0  # frames per second in Bailando's code, whatever the rate of the motion
+_UNITS = {"arm": ("lshoulder", "lelbow"), "shoulders": ("lshoulder", "rshoulder"),
+          "hips": ("lhip", "rhip")}  # fmt: skip
 _AROUND = 2  # frames on either side in a running mean
 
 # Relation, joints, threshold and its unit of length (angles: lower and upper limit, degrees). As in
-# the released code, "move" does not use its fourth joint.
-_GEOMETRIC: tuple[tuple[Any, ...], ...] = (
-    ("nmove", "neck", "rhip", "lhip", "rwrist", 1.8, "arm"),
-    ("nmove", "neck", "lhip", "rhip", "lwrist", 1.8, "arm"),
-    ("nplane", "chest", "neck", "neck", "rwrist", 0.2, "arm"),
-    ("nplane", "chest", "neck", "neck", "lwrist", 0.2, "arm"),
-    ("move", "belly", "chest", "chest", "rwrist", 1.8, "arm"),
-    ("move", "belly", "chest", "chest", "lwrist", 1.8, "arm"),
-    ("angle", "relbow", "rshoulder", "relbow", "rwrist", 0.0, 110.0),
-    ("angle", "lelbow", "lshoulder", "lelbow", "lwrist", 0.0, 110.0),
+# the released code, "move" does not use its fourth joint. Joints with a dash are on either side: a
+# relation of them stands for two, the second of which has left and right exchanged.
+_RELATIONS: tuple[tuple[Any, ...], ...] = (
+    ("nmove", "neck", "r-hip", "l-hip", "r-wrist", 1.8, "arm"),
+    ("nplane", "chest", "neck", "neck", "r-wrist", 0.2, "arm"),
+    ("move", "belly", "chest", "chest", "r-wrist", 1.8, "arm"),
+    ("angle", "r-elbow", "r-shoulder", "r-elbow", "r-wrist", 0.0, 110.0),
     ("nplane", "lshoulder", "rshoulder", "lwrist", "rwrist", 2.5, "shoulders"),
     ("move", "lwrist", "rwrist", "rwrist", "lwrist", 1.4, "arm"),
-    ("move", "rwrist", "root", "lwrist", "root", 1.4, "arm"),
-    ("move", "lwrist", "root", "rwrist", "root", 1.4, "arm"),
-    ("fast", "rwrist", "", "", "", 2.5, "arm"),
-    ("fast", "lwrist", "", "", "", 2.5, "arm"),
-    ("plane", "root", "lhip", "ltoes", "rankle", 0.38, "arm"),
-    ("plane", "root", "rhip", "rtoes", "lankle", 0.38, "arm"),
-    ("nplane", "zero", "up", "lowest", "rankle", 1.2, "arm"),
-    ("nplane", "zero", "up", "lowest", "lankle", 1.2, "arm"),
+    ("move", "r-wrist", "root", "l-wrist", "root", 1.4, "arm"),
+    ("fast", "r-wrist", "", "", "", 2.5, "arm"),
+    ("plane", "root", "l-hip", "l-toes", "r-ankle", 0.38, "arm"),
+    ("nplane", "zero", "up", "lowest", "r-ankle", 1.2, "arm"),
     ("nplane", "lhip", "rhip", "lankle", "rankle", 2.1, "hips"),
-    ("angle", "rknee", "rhip", "rknee", "rankle", 0.0, 110.0),
-    ("angle", "lknee", "lhip", "lknee", "lankle", 0.0, 110.0),
-    ("fast", "rankle", "", "", "", 2.5, "arm"),
-    ("fast", "lankle", "", "", "", 2.5, "arm"),
-    ("angle", "neck", "root", "rshoulder", "relbow", 25.0, 180.0),
-    ("angle", "neck", "root", "lshoulder", "lelbow", 25.0, 180.0),
-    ("angle", "neck", "root", "rhip", "rknee", 50.0, 180.0),
-    ("angle", "neck", "root", "lhip", "lknee", 50.0, 180.0),
+    ("angle", "r-knee", "r-hip", "r-knee", "r-ankle", 0.0, 110.0),
+    ("fast", "r-ankle", "", "", "", 2.5, "arm"),
+    ("angle", "neck", "root", "r-shoulder", "r-elbow", 25.0, 180.0),
+    ("angle", "neck", "root", "r-hip", "r-knee", 50.0, 180.0),
     ("plane", "rankle", "neck", "lankle", "root", 0.5, "arm"),
     ("angle", "neck", "root", "zero", "up", 70.0, 110.0),
-    ("nplane", "zero", "down", "lowest", "rwrist", -1.2, "arm"),
-    ("nplane", "zero", "down", "lowest", "lwrist", -1.2, "arm"),
+    ("nplane", "zero", "down", "lowest", "r-wrist", -1.2, "arm"),
     ("fast", "root", "", "", "", 2.3, "arm"),
 )
+
+
+def _relations() -> Iterator[tuple[Any, ...]]:
+    """Yield `_RELATIONS`, those of joints on either side twice."""
+    for relation, *joints, limit, unit in _RELATIONS:
+        for right, left in ("rl", "lr") if "-" in "".join(joints) else ("rl",):
+            names = (name.replace("r-", right).replace("l-", left) for name in joints)
+            yield relation, *names, limit, unit
 
 
 def kinetic_features(
@@ -89,8 +95,8 @@ def kinetic_features(
             that it depends on positions; these are relative to where the first joint begins.
 
     Raises:
-        EvaluationError: fewer frames, or no such variant.
-        MotionError: no such joint, or body parts that cannot be identified.
+        EvaluationError: no such variant.
+        MotionError: fewer frames, no such joint, or body parts that cannot be identified.
 
     Examples:
         A body that moves straight on at 2 m/s: (2 m/s)², nothing vertical, no acceleration:
@@ -101,9 +107,9 @@ def kinetic_features(
         >>> kinetic_features(gk.Motion(rig, still, path, 30), joints=["hips"]).round(6).tolist()
         [4.0, 0.0, 0.0]
     """
-    if variant not in _VARIANTS:
-        raise EvaluationError(f"kinetic variant {variant!r}; expected {' or '.join(_VARIANTS)}")
-    motion = _long_enough(motion)
+    check_choice("kinetic variant", variant, _VARIANTS)
+    motion = at_rate(motion, FPS)
+    check_frames(motion, 4, FPS)
     names = body_joints(motion.skeleton) if joints is None else joints
     positions = motion.positions()[:, [motion.skeleton.index(name) for name in names]]
     fps, turns = FPS, np.diff(positions, n=2, axis=0)
@@ -134,8 +140,9 @@ def geometric_features(motion: Motion) -> np.ndarray:
         motion: at least 4 frames at 30 fps.
 
     Raises:
-        EvaluationError: fewer frames, a forearm without an end, or a rig without legs.
-        MotionError: body parts that cannot be identified.
+        EvaluationError: a rig without legs.
+        MotionError: fewer frames, a forearm without an end, or body parts that cannot be
+            identified.
 
     Examples:
         The last one: the pelvis moves at more than 2.3 upper arms (0.64 m here) a second:
@@ -147,20 +154,21 @@ def geometric_features(motion: Motion) -> np.ndarray:
         >>> geometric_features(slow)[-1].tolist(), geometric_features(fast)[-1].tolist()
         (0.0, 1.0)
     """
-    now = _places(_long_enough(motion))
-    before = {name: places[:-1] for name, places in now.items()}
-    now = {name: places[1:] for name, places in now.items()}
+    motion = at_rate(motion, FPS)
+    check_frames(motion, 4, FPS)
+    places = _places(motion)
+    before = {name: path[:-1] for name, path in places.items()}
+    now = {name: path[1:] for name, path in places.items()}
     lengths = {
-        "arm": _median_distance(now, "lshoulder", "lelbow"),
-        "shoulders": _median_distance(now, "lshoulder", "rshoulder"),
-        "hips": _median_distance(now, "lhip", "rhip"),
+        unit: float(np.median(np.linalg.norm(now[a] - now[b], axis=-1)))
+        for unit, (a, b) in _UNITS.items()
     }
 
     def velocity(name: str, seen_from: str) -> np.ndarray:
         return (now[name] - now[seen_from] - before[name] + before[seen_from]) * FPS
 
     shares = []
-    for relation, a, b, c, d, limit, unit in _GEOMETRIC:
+    for relation, a, b, c, d, limit, unit in _relations():
         if relation == "angle":
             degrees = _angle(now[b] - now[a], now[d] - now[c])
             shares.append(((degrees > limit) & (degrees < unit)).mean())
@@ -189,7 +197,7 @@ def clip_features(
     """Return the clip features of sets of motions: an array (clips, D) for each set and motion.
 
     Motions are cut into consecutive clips; the remainder, and motions shorter than a clip, are left
-    out.
+    out. Each feature is divided by its standard deviation in the last set, if it varies there.
 
     Args:
         sets: such as generated and reference.
@@ -201,53 +209,35 @@ def clip_features(
 
     Raises:
         EvaluationError: no such kind, an empty set, rigs that differ, or no clip in a set.
+        MotionError: clips of fewer than 4 frames at 30 fps.
     """
-    if kind not in KINDS:
-        raise EvaluationError(f"kind {kind!r}; expected {' or '.join(KINDS)}")
-    if not (np.isfinite(seconds) and seconds * FPS >= 4):
-        raise EvaluationError(f"clips of {seconds!r} s; expected a number of seconds from 0.14")
+    check_choice("kind", kind, KINDS)
     if not all(sets):
         raise EvaluationError("a set of motions is empty")
-    joints = body_joints(sets[-1][0].skeleton) if joints is None else joints
-    n_frames = round(seconds * FPS)
-    result = []
+    features: Callable[[Motion], np.ndarray] = geometric_features
+    if kind == "kinetic":
+        joints = body_joints(sets[-1][0].skeleton) if joints is None else joints
+        features = partial(kinetic_features, joints=joints, variant=variant)
+        for motion in chain.from_iterable(sets):
+            check_joints(motion, joints)
+    n_frames, made = max(1, round(seconds * FPS)), []
     for motions in sets:
-        of_set = []
-        for motion in motions:
-            if kind == "kinetic":
-                require_joints(motion, joints)
-            motion = _long_enough(motion)
-            clips = [
-                motion[start : start + n_frames]
-                for start in range(0, motion.n_frames - n_frames + 1, n_frames)
-            ]
-            if clips:
-                of_set.append(
-                    np.stack(
-                        [
-                            kinetic_features(clip, joints=joints, variant=variant)
-                            if kind == "kinetic"
-                            else geometric_features(clip)
-                            for clip in clips
-                        ]
-                    )
-                )
-        if not of_set:
+        cut = ([*_cut(at_rate(motion, FPS), n_frames)] for motion in motions)
+        made.append([np.stack([features(clip) for clip in clips]) for clips in cut if clips])
+        if not made[-1]:
             raise EvaluationError(
                 f"none of {len(motions)} motions is as long as a clip of {seconds:g} s; "
                 "give longer motions, or shorter clips (seconds=)"
             )
-        result.append(of_set)
-    return result
+    reference = np.concatenate(made[-1])
+    spread = reference.std(axis=0)
+    moves = spread > 1e-9 * (1 + np.abs(reference).max(axis=0))
+    return [[clips / np.where(moves, spread, 1.0) for clips in one] for one in made]
 
 
-def _long_enough(motion: Motion) -> Motion:
-    motion = at_rate(motion, FPS)
-    if motion.n_frames < 4:
-        raise EvaluationError(
-            f"the motion has {motion.n_frames} frames at {FPS:g} fps; clip features need 4"
-        )
-    return motion
+def _cut(motion: Motion, n_frames: int) -> Iterator[Motion]:
+    for start in range(0, motion.n_frames - n_frames + 1, n_frames):
+        yield motion[start : start + n_frames]
 
 
 def _mean_around(values: np.ndarray, ahead: int = 0) -> np.ndarray:
@@ -264,29 +254,21 @@ def _mean_around(values: np.ndarray, ahead: int = 0) -> np.ndarray:
 
 
 def _places(motion: Motion) -> dict[str, np.ndarray]:
-    """Return {name: (T, 3) positions} of the joints that `_GEOMETRIC` names."""
-    skeleton, positions = motion.skeleton, motion.positions()
-    parts = find_parts(skeleton)
+    """Return {name: (T, 3) positions} of the joints that `_RELATIONS` names."""
+    skeleton, parts = motion.skeleton, find_parts(motion.skeleton)
     if not parts.legs:
         raise EvaluationError(f"{motion_name(motion)} has no legs, which geometric features need")
+    positions, feet = motion.positions(), foot_positions(motion)
     names = {"root": parts.pelvis, "belly": parts.spine[0], "chest": parts.spine[-1]}
     names["neck"] = parts.neck or parts.head or parts.spine[-1]
     for side in SIDES:
-        arm, leg = parts.arms[side], parts.legs[side]
-        names |= {
-            f"{side[0]}{part}": name
-            for part, name in {
-                "shoulder": arm.shoulder,
-                "elbow": arm.elbow,
-                "hip": leg.hip,
-                "knee": leg.knee,
-                "ankle": leg.ankle,
-            }.items()
-        }
+        for limb, joints in (
+            (parts.arms[side], ("shoulder", "elbow")),
+            (parts.legs[side], ("hip", "knee", "ankle")),
+        ):
+            names |= {side[0] + joint: getattr(limb, joint) for joint in joints}
     places = {part: positions[:, skeleton.index(name)] for part, name in names.items()}
-    for side in SIDES:
-        places[f"{side[0]}wrist"] = _wrist(motion, positions, side)
-    feet = foot_positions(motion)
+    places["lwrist"], places["rwrist"] = wrist_positions(motion).swapaxes(0, 1)
     # Heel and, where the rig has one, toe of the left foot, then of the right.
     n_left = len(foot_points(skeleton)) // 2
     places["ltoes"], places["rtoes"] = feet[:, n_left - 1], feet[:, -1]
@@ -296,22 +278,6 @@ def _places(motion: Motion) -> dict[str, np.ndarray]:
     for name, y in (("zero", 0.0), ("up", 1.0), ("down", -1.0)):
         places[name] = np.tile([0.0, y, 0.0], (motion.n_frames, 1))
     return places
-
-
-def _wrist(motion: Motion, positions: np.ndarray, side: str) -> np.ndarray:
-    """Return the (T, 3) positions of a wrist or, on a rig without, of the end of the forearm."""
-    arm = find_parts(motion.skeleton).arms[side]
-    if arm.wrist is not None:
-        return positions[:, motion.skeleton.index(arm.wrist)]
-    if arm.elbow in motion.skeleton.end_sites:
-        return motion.end_positions()[arm.elbow][:, 0]
-    raise EvaluationError(
-        f"{motion_name(motion)} has no {side} wrist, which geometric features need"
-    )
-
-
-def _median_distance(places: dict[str, np.ndarray], a: str, b: str) -> float:
-    return float(np.median(np.linalg.norm(places[a] - places[b], axis=-1)))
 
 
 def _along(vectors: np.ndarray, direction: np.ndarray) -> np.ndarray:

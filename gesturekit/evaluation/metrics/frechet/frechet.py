@@ -17,7 +17,7 @@ and read the note.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +25,7 @@ import numpy as np
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frechet.clip_features import CLIP_SECONDS, clip_features
 from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
+from gesturekit.evaluation.metrics.inputs import checked_rows
 from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
@@ -33,10 +34,6 @@ if TYPE_CHECKING:
 SAMPLES_PER_DIMENSION = 10
 _RESAMPLED_DIMENSIONS = 128
 """Largest number of principal components in the bootstrap, for speed."""
-_EXACT = 1500
-"""Largest window dimension for an exact `raw_fgd`. Above, principal components are used for any
-number of windows, so that all models of a comparison are measured in the same way."""
-_COMPONENTS = 256  # exact too for sets of fewer windows
 _AXES_FROM = 4000  # samples that principal components are found from, at most
 _CLIPS = 10
 """Least number of motions of either set for an interval."""
@@ -95,13 +92,9 @@ def frechet_distance(generated: np.ndarray, reference: np.ndarray) -> float:
         >>> round(frechet_distance(reference + 3, reference), 6)
         9.0
     """
-    generated, reference = _features(generated, "generated"), _features(reference, "reference")
-    if generated.shape[1] != reference.shape[1]:
-        raise EvaluationError(
-            f"generated has {generated.shape[1]} numbers a feature, reference "
-            f"{reference.shape[1]}: they must be features of one kind"
-        )
-    return _distance(generated, reference)
+    return _distance(
+        *checked_rows({"generated": generated, "reference": reference}, "sample", least=2)
+    )
 
 
 def frechet_result(
@@ -137,35 +130,22 @@ def frechet_result(
     sets = [list(generated), list(reference)]
     if not all(sets):
         raise EvaluationError("a Fréchet distance needs features of both sets; one is empty")
-    try:
-        stacked = [np.concatenate(one) for one in sets]
-    except ValueError as error:
-        raise EvaluationError(f"features of one set do not fit together: {error}") from None
-    value = frechet_distance(*stacked)
-    n, m, dimensions = len(stacked[0]), len(stacked[1]), stacked[0].shape[1]
-    notes = []
-    if min(n, m) < SAMPLES_PER_DIMENSION * dimensions:
-        notes.append(
-            f"fewer than {SAMPLES_PER_DIMENSION * dimensions} samples, "
-            f"{SAMPLES_PER_DIMENSION} a dimension: too high"
-        )
+    ours, theirs = (np.concatenate(one) for one in sets)
+    value = frechet_distance(ours, theirs)
+    (n, dimensions), m, notes = ours.shape, len(theirs), []
+    if min(n, m) < (enough := SAMPLES_PER_DIMENSION * dimensions):
+        notes.append(f"fewer than {enough} samples, {SAMPLES_PER_DIMENSION} a dimension: too high")
     low = high = np.nan
     if resamples and min(map(len, sets)) < _CLIPS:
         notes.append(f"fewer than {_CLIPS} motions: no interval")
-    elif resamples:
+    elif resamples > 1:  # one has no spread
         spread = _standard_error(sets, resamples, seed)
-        # A spread of NaN leaves both ends NaN: `max` would give 0.
-        low, high = float(np.maximum(0.0, value - 1.96 * spread)), value + 1.96 * spread
+        low, high = max(0.0, value - 1.96 * spread), value + 1.96 * spread
     return FrechetResult(value, low, high, n, m, dimensions, "; ".join(notes))
 
 
 def fgd(
-    generated: Sequence[Motion],
-    reference: Sequence[Motion],
-    model: Extractor,
-    *,
-    resamples: int = 100,
-    seed: int = 0,
+    generated: Sequence[Motion], reference: Sequence[Motion], model: Extractor, *, seed: int = 0
 ) -> FrechetResult:
     """Return the Fréchet gesture distance on the features of `model` (`gesturekit fit-features`).
 
@@ -173,7 +153,6 @@ def fgd(
         generated: motions with the joints of the extractor, any frame rate.
         reference: the same for the recordings.
         model: the autoencoder fitted on a reference set, or BEAT2's (`load_extractor`).
-        resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
     Raises:
@@ -188,9 +167,7 @@ def fgd(
         >>> round(fgd(recordings, recordings, model).value, 6)
         0.0
     """
-    return frechet_result(
-        model.encode(generated), model.encode(reference), resamples=resamples, seed=seed
-    )
+    return frechet_result(model.encode(generated), model.encode(reference), seed=seed)
 
 
 def raw_fgd(
@@ -199,10 +176,10 @@ def raw_fgd(
     windows: PoseWindows | None = None,
     *,
     joints: Sequence[str] | None = None,
-    resamples: int = 0,
-    seed: int = 0,
 ) -> FrechetResult:
     """Return the Fréchet distance on windows of normalised poses, without an autoencoder.
+
+    It has no interval.
 
     Args:
         generated: motions of one rig.
@@ -210,8 +187,6 @@ def raw_fgd(
         windows: pose normalisation; by default `PoseWindows.fit(reference)`, GENEA's form.
             `model.windows` gives the value to compare with a model's `fgd`.
         joints: names of joints of both sets, if `windows` is None; by default the body joints.
-        resamples: see `frechet_result`.
-        seed: see `frechet_result`.
 
     Raises:
         EvaluationError: see `fgd`.
@@ -228,9 +203,7 @@ def raw_fgd(
         [clip.reshape(len(clip), -1) for clip in windows.cut(motions)]
         for motions in (generated, reference)
     ]
-    if flat[0][0].shape[1] <= _EXACT:
-        return frechet_result(*flat, resamples=resamples, seed=seed)
-    return _bounded(flat, resamples, seed)
+    return frechet_result(*flat, resamples=0)
 
 
 def fid(
@@ -241,7 +214,6 @@ def fid(
     seconds: float = CLIP_SECONDS,
     joints: Sequence[str] | None = None,
     kinetic: str = "corrected",
-    resamples: int = 100,
     seed: int = 0,
 ) -> FrechetResult:
     """Return FID_k or FID_g, the Fréchet distance on features of clips in the reference's spread.
@@ -254,7 +226,6 @@ def fid(
         joints: names of joints of both sets, of kinetic features; by default the body joints of
             the reference.
         kinetic: variant of the kinetic features.
-        resamples: see `frechet_result`.
         seed: see `frechet_result`.
 
     Raises:
@@ -273,10 +244,8 @@ def fid(
         >>> round(fid(large, recordings, "geometric", seconds=1).value, 6)
         0.0
     """
-    ours, theirs = clip_features([generated, reference], kind, seconds, joints, kinetic)
-    spread = _spread(np.concatenate(theirs))
-    sets = ([clips / spread for clips in motions] for motions in (ours, theirs))
-    return frechet_result(*sets, resamples=resamples, seed=seed)
+    sets = clip_features([generated, reference], kind, seconds, joints, kinetic)
+    return frechet_result(*sets, seed=seed)
 
 
 def clip_diversity(
@@ -308,17 +277,10 @@ def clip_diversity(
     from scipy.spatial.distance import pdist
 
     sets = [motions, motions if reference is None else reference]
-    ours, theirs = clip_features(sets, kind, seconds, joints, kinetic)
-    clips = np.concatenate(ours)
+    clips = np.concatenate(clip_features(sets, kind, seconds, joints, kinetic)[0])
     if len(clips) < 2:
         raise EvaluationError(f"diversity needs two clips of {seconds:g} s; there is one")
-    return float(pdist(clips / _spread(np.concatenate(theirs))).mean())
-
-
-def _spread(reference: np.ndarray) -> np.ndarray:
-    """Return (D,) standard deviations of (n, D) features, 1 for constant ones."""
-    spread = reference.std(axis=0)
-    return np.where(spread > 1e-9 * (1 + np.abs(reference).max(axis=0)), spread, 1.0)
+    return float(pdist(clips).mean())
 
 
 def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
@@ -334,80 +296,25 @@ def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
     return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
 
 
-def _bounded(sets: list[list[np.ndarray]], resamples: int, seed: int) -> FrechetResult:
-    """Return the Fréchet distance along principal components plus a lower bound of the rest.
-
-    The sets are lists of (n_i, D). The distances in the subspace and its complement add up to at
-    most the full one, which in the complement is at least |m1 - m2|² + Σ (s1 - s2)².
-    """
-    axes = _principal_axes(sets, _COMPONENTS)
-    along = frechet_result(
-        *([x @ axes for x in one] for one in sets), resamples=resamples, seed=seed
-    )
-    means, spreads = [], []
-    for one in sets:
-        n = sum(map(len, one))
-        mean = sum(x.sum(axis=0) for x in one) / n
-        squares = sum((_across(x - mean, axes) ** 2).sum(axis=0) for x in one)
-        means.append(mean)
-        spreads.append(np.sqrt(squares / (n - 1)))
-    apart = _across((means[0] - means[1])[None], axes)
-    rest = float((apart**2).sum() + ((spreads[0] - spreads[1]) ** 2).sum())
-    width = sets[0][0].shape[1]
-    notes = [f"{_COMPONENTS} principal components of {width}, and a lower bound of the rest"]
-    return replace(
-        along,
-        value=along.value + rest,
-        low=along.low + rest,
-        high=along.high + rest,
-        dimensions=width,
-        note="; ".join(filter(None, [*notes, along.note])),
-    )
-
-
-def _across(values: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Return values (n, D) minus their projection on orthonormal axes (D, K)."""
-    return values - (values @ axes) @ axes.T
-
-
-def _principal_axes(sets: list[list[np.ndarray]], count: int) -> np.ndarray:
-    """Return (D, count) principal axes of all samples together."""
+def _principal_axes(sets: list[list[np.ndarray]]) -> np.ndarray:
+    """Return (D, 128) principal axes of all samples together."""
     from sklearn.utils.extmath import randomized_svd
 
     clips = [x for one in sets for x in one]
     stride = -(-sum(map(len, clips)) // _AXES_FROM)
     samples = np.concatenate([x[::stride] for x in clips])
     samples = samples - samples.mean(axis=0)
-    count = min(count, *samples.shape)
+    count = min(_RESAMPLED_DIMENSIONS, *samples.shape)
     return randomized_svd(samples, count, n_iter=2, random_state=0)[2].T
 
 
 def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> float:
     if sets[0][0].shape[1] > _RESAMPLED_DIMENSIONS:
-        axes = _principal_axes(sets, _RESAMPLED_DIMENSIONS)
+        axes = _principal_axes(sets)
         sets = [[x @ axes for x in one] for one in sets]
     rng = np.random.default_rng(seed)
     values = []
     for _ in range(resamples):
-        drawn = [
-            np.concatenate([one[i] for i in rng.integers(0, len(one), len(one))]) for one in sets
-        ]
-        if min(map(len, drawn)) >= 2:
-            values.append(_distance(*drawn))
-    return float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
-
-
-def _features(values: np.ndarray, what: str) -> np.ndarray:
-    features = np.asarray(values, dtype=np.float64)
-    if features.ndim != 2 or not features.shape[1]:
-        raise EvaluationError(f"{what} features have shape {features.shape}; expected (n, D)")
-    if len(features) < 2:
-        raise EvaluationError(
-            f"{what}: {len(features)} sample; a covariance needs two. Give more motions, "
-            "or shorter clips"
-        )
-    if not np.isfinite(features).all():
-        raise EvaluationError(
-            f"{what} holds NaN or infinity in sample {np.argwhere(~np.isfinite(features))[0][0]}"
-        )
-    return features
+        drawn = ([one[i] for i in rng.integers(0, len(one), len(one))] for one in sets)
+        values.append(_distance(*map(np.concatenate, drawn)))
+    return float(np.std(values, ddof=1))

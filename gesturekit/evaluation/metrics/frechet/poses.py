@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation.metrics.frame_rate import at_rate
-from gesturekit.motion import Motion
+from gesturekit.evaluation.metrics.inputs import at_rate, check_choice, check_joints, motion_name
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.parts import body_joints, find_parts, heading_joints, upper_body
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.rotations import quaternion_from_rotation_vector, rotate_vectors
@@ -23,21 +24,13 @@ LEAST_FRAMES = 12
 MOST_FRAMES = 1000
 
 
-@dataclass(frozen=True)
-class _Variant:
-    directions: bool
-    joints: str
-    fps: float
-    n_frames: int
-    stride: int  # frames between the starts of two windows; 0 is half a window
-
-
-_VARIANTS = {
+_DEFAULTS = {
     # Joint positions, as in GENEA 2022 (genea_numerical_evaluations; 14 joints of its own rig).
-    "genea": _Variant(False, "body", 30.0, 60, 0),
+    "genea": ("body", 30.0, 60),
     # Bone directions of the upper body, as in Yoon et al. 2020 (nine bones).
-    "yoon": _Variant(True, "upper", 15.0, 34, 10),
+    "yoon": ("upper", 15.0, 34),
 }
+"""Joints, frame rate and frames of a window by variant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,20 +68,23 @@ class PoseWindows:
     scale: np.ndarray
 
     def __post_init__(self) -> None:
-        _require_variant(self.variant)
-        if not LEAST_FRAMES <= self.n_frames <= MOST_FRAMES:
-            raise EvaluationError(
-                f"windows of {self.n_frames} frames; {LEAST_FRAMES} to {MOST_FRAMES} can be"
-            )
-        if not (1 <= self.fps <= 1000 and 1 <= self.stride <= MOST_FRAMES):
-            raise EvaluationError(f"windows at {self.fps!r} fps, every {self.stride!r} frames")
+        check_choice("variant", self.variant, _DEFAULTS)
         for name in ("mean", "scale"):
-            values = np.asarray(getattr(self, name), dtype=np.float64)
-            if values.shape != (self.n_features,) or not np.isfinite(values).all():
-                raise EvaluationError(f"{name} of poses: expected {self.n_features} finite numbers")
-            object.__setattr__(self, name, values)
-        if (self.scale <= 0).any() or not self.bones:
-            raise EvaluationError("poses need bones, and scales above 0")
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+        numbers = np.concatenate([self.mean.ravel(), self.scale.ravel()])
+        if not (
+            LEAST_FRAMES <= self.n_frames <= MOST_FRAMES
+            and 1 <= self.fps <= 1000
+            and 1 <= self.stride <= MOST_FRAMES
+            and self.mean.shape == self.scale.shape == (self.n_features,) != (0,)
+            and np.isfinite(numbers).all()
+            and (self.scale > 0).all()
+        ):
+            raise EvaluationError(
+                f"windows of {self.n_frames} frames at {self.fps} fps, every {self.stride}, of "
+                f"{len(self.bones)} bones; expected {LEAST_FRAMES} to {MOST_FRAMES} frames, 1 to "
+                "1000 fps, and 3 finite means and scales above 0 of each bone"
+            )
 
     @property
     def n_features(self) -> int:
@@ -117,21 +113,21 @@ class PoseWindows:
         Raises:
             EvaluationError: no motions, no such variant, or joints that one of them lacks.
         """
-        _require_variant(variant)
+        check_choice("variant", variant, _DEFAULTS)
         if not motions:
             raise EvaluationError("there is no motion to learn poses from")
-        form = _VARIANTS[variant]
-        n_frames = form.n_frames if n_frames is None else n_frames
-        bones = _bones(motions[0], form, form.joints if joints is None else joints)
+        of_variant, fps, usual = _DEFAULTS[variant]
+        n_frames = usual if n_frames is None else n_frames
+        bones = _bones(motions[0].skeleton, variant, of_variant if joints is None else joints)
+        stride = 10 if variant == "yoon" else max(1, n_frames // 2)
         width = 3 * len(bones)
-        stride = form.stride or max(1, n_frames // 2)
-        plain = cls(variant, bones, form.fps, n_frames, stride, np.zeros(width), np.ones(width))
+        plain = cls(variant, bones, fps, n_frames, stride, np.zeros(width), np.ones(width))
         frames = np.concatenate([plain.frames(motion) for motion in motions])
-        scale = np.ones(width)
-        if not form.directions:
+        scale = plain.scale
+        if variant == "genea":
             smallest = _SMALLEST_SCALE * body_scale(motions[0].skeleton)
             scale = np.maximum(frames.std(axis=0), smallest)
-        return cls(variant, bones, form.fps, n_frames, stride, frames.mean(axis=0), scale)
+        return replace(plain, mean=frames.mean(axis=0), scale=scale)
 
     def frames(self, motion: Motion) -> np.ndarray:
         """Return (T', 3 B) normalised poses of a motion at `fps`.
@@ -140,19 +136,18 @@ class PoseWindows:
             EvaluationError: the motion lacks a joint, or a bone without length needs a direction.
         """
         skeleton = motion.skeleton
-        require_joints(motion, sorted({name for bone in self.bones for name in bone}))
+        check_joints(motion, chain.from_iterable(self.bones))
         motion = at_rate(motion, self.fps)
         positions = motion.positions()
-        ends = np.array([[skeleton.index(name) for name in bone] for bone in self.bones])
-        bones = positions[:, ends[:, 1]] - positions[:, ends[:, 0]]
+        starts, ends = ([skeleton.index(name) for name in side] for side in zip(*self.bones))
+        bones = positions[:, ends] - positions[:, starts]
         bones = rotate_vectors(_to_front(motion, positions)[:, None], bones)
-        if _VARIANTS[self.variant].directions:
+        if self.variant == "yoon":
             lengths = np.linalg.norm(bones, axis=-1, keepdims=True)
-            shortest = _SHORTEST_BONE * body_scale(skeleton)
-            if (lengths < shortest).any():
-                bad = self.bones[int(np.argwhere(lengths < shortest)[0][1])]
+            if len(short := np.argwhere(lengths < _SHORTEST_BONE * body_scale(skeleton))):
+                start, end = self.bones[short[0, 1]]
                 raise EvaluationError(
-                    f"{motion_name(motion)}: {bad[0]!r} and {bad[1]!r} are at the same position; "
+                    f"{motion_name(motion)}: {start!r} and {end!r} are at the same position; "
                     "the direction between them is undefined"
                 )
             bones = bones / lengths
@@ -179,65 +174,31 @@ class PoseWindows:
 
     def to_json(self) -> dict[str, Any]:
         """Return everything except mean and scale as plain values."""
-        return {
-            "variant": self.variant,
-            "bones": [list(bone) for bone in self.bones],
-            "fps": self.fps,
-            "n_frames": self.n_frames,
-            "stride": self.stride,
-        }
-
-
-def require_joints(motion: Motion, joints: Sequence[str]) -> None:
-    """Check that a motion has all of the joints.
-
-    Raises:
-        EvaluationError: a joint is missing.
-    """
-    missing = sorted(set(joints) - set(motion.skeleton.names))
-    if missing:
-        raise EvaluationError(
-            f"{motion_name(motion)} has no joint {', '.join(missing[:5])}"
-            f"{', ...' if len(missing) > 5 else ''}, which the other motions have; "
-            "give motions of one rig, or retarget them to it"
-        )
-
-
-def motion_name(motion: Motion) -> str:
-    """Return the name of a motion for errors: its file, or its description."""
-    return str(motion.info.get("source") or motion)
-
-
-def _require_variant(variant: str) -> None:
-    if variant not in _VARIANTS:
-        raise EvaluationError(f"variant {variant!r}; expected {' or '.join(_VARIANTS)}")
+        plain = {**vars(self), "bones": [list(bone) for bone in self.bones]}
+        return {name: plain[name] for name in plain if name not in ("mean", "scale")}
 
 
 def _bones(
-    motion: Motion, form: _Variant, joints: str | Sequence[str]
+    skeleton: Skeleton, variant: str, joints: str | Sequence[str]
 ) -> tuple[tuple[str, str], ...]:
-    skeleton = motion.skeleton
+    """Return (from, to) names of bones that end at the chosen joints below the pelvis."""
     pelvis = find_parts(skeleton).pelvis
     if isinstance(joints, str):
-        if joints not in ("body", "upper"):
-            raise EvaluationError(f"joints: {joints!r}; expected body, upper, or joint names")
+        check_choice("joints (a list of names, or a word):", joints, ("body", "upper"))
         chosen = set(body_joints(skeleton))
         if joints == "upper":
             chosen &= set(upper_body(skeleton))
     else:
         chosen = {skeleton.names[skeleton.index(name)] for name in joints}
-    # A root above the pelvis would give the position of the body.
-    below = skeleton.descendants(skeleton.index(pelvis))
-    chosen &= {skeleton.names[j] for j in below} - {pelvis}
     bones = []
-    for name in skeleton.names:
+    # A root above the pelvis would give the position of the body.
+    for j in skeleton.descendants(skeleton.index(pelvis)):
+        name, start = skeleton.names[j], pelvis
         if name not in chosen:
             continue
-        start = pelvis
-        if form.directions:
-            j = skeleton.index(name)
-            above = [skeleton.names[i] for i in skeleton.ancestors(j)]
-            start = next((a for a in above if a in chosen), pelvis)
+        if variant == "yoon":
+            above = (skeleton.names[i] for i in skeleton.ancestors(j))
+            start = next(a for a in above if a in chosen or a == pelvis)
             if np.linalg.norm(skeleton.offsets[j]) < _SHORTEST_BONE * body_scale(skeleton):
                 continue  # a joint on top of its parent has no direction
         bones.append((start, name))
