@@ -159,28 +159,23 @@ class Run:
 
     def _check(self) -> None:
         """Compare the folder with what is to be done in it; see the class for the errors."""
-        if problem := next(self._problems(), None):
-            raise ConfigError(problem)
-
-    def _problems(self) -> Iterator[str]:
-        """Yield why the run cannot begin, or be resumed, in the folder."""
-        folder, config_file = self.folder, self.folder / "config.yaml"
+        folder, file, problem = self.folder, self.folder / "config.yaml", ""
         if folder.exists() and not folder.is_dir():
-            yield f"{folder}: a file, not a run folder; name a folder by out=OTHER"
-        if not self._resume and config_file.exists():
+            problem = f"{folder}: a file, not a run folder; name a folder by out=OTHER"
+        elif not self._resume and file.exists():
             state = unfinished(folder) or f"{folder}: holds a finished training already"
-            yield f"{state}; a new one goes to another folder, out=OTHER"
-        if not self._resume:
-            return
-        if not config_file.is_file():
-            yield f"{folder}: no run to resume here; start it without --resume"
-        before, config = dotted(read_yaml(config_file)), dotted(self._config)
-        for key in sorted(set(before) | set(config)):
-            if key not in _REPORTING and before.get(key) != config.get(key):
-                yield (
-                    f"{config_file}: the run was started with {key}: {before.get(key)!r}, now it "
-                    f"is {config.get(key)!r}; resume with the same settings or start anew"
-                )
+            problem = f"{state}; a new one goes to another folder, out=OTHER"
+        elif self._resume and not file.is_file():
+            problem = f"{folder}: no run to resume here; start it without --resume"
+        elif self._resume:
+            before, config = dotted(read_yaml(file)), dotted(self._config)
+            for key in sorted({*before, *config} - {*_REPORTING}):
+                if (was := before.get(key)) != (now := config.get(key)):
+                    problem = f"{file}: the run was started with {key}: {was!r}, now it is {now!r}"
+                    problem += "; resume with the same settings or start anew"
+                    break
+        if problem:
+            raise ConfigError(problem)
 
     @property
     def has_begun(self) -> bool:
