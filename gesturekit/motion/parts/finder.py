@@ -73,6 +73,7 @@ ARM = ("clavicle", "shoulder", "elbow", "wrist")
 LEG = ("hip", "knee", "ankle", "toe")
 KNOWN_PARTS = ("head", *(f"{side}_{part}" for side in SIDES for part in (*ARM, *LEG)))
 """Parts that a user can specify."""
+_OPTIONAL = ("clavicle", "wrist", "toe")
 _LEGS = [f"{side}_{part}" for side in SIDES for part in LEG]
 
 _ELBOW = ("forearm", "lowerarm", "lowarm", "elbow", "radius")
@@ -177,12 +178,13 @@ class PartFinder:
             for j, bare in enumerate(self.bare)
             if bare.endswith(_END) and not skeleton.children(j)
         }
-        self.has_legs = True
-        self.missing: list[str] = []
         self.limbs: dict[str, int | None] = {}
         for side in SIDES:
             self._arm(side)
             self._leg(side)
+        lacking = [part for part, joint in self.limbs.items() if joint is None]
+        self.missing = [part for part in lacking if not part.endswith(_OPTIONAL)]
+        self.has_legs = True
 
     @classmethod
     def complete(cls, skeleton: Skeleton) -> PartFinder:
@@ -192,9 +194,10 @@ class PartFinder:
             MotionError: parts that cannot be identified, or are implausible.
         """
         finder = cls(skeleton)
-        finder.has_legs = not finder._is_legless()
-        if not finder.has_legs:
-            finder.missing.clear()
+        has_arms = set(finder.missing) <= set(_LEGS)
+        has_legs = any(finder.limbs[part] is not None for part in _LEGS)
+        if has_arms and not has_legs and not finder._possible_legs():
+            finder.has_legs, finder.missing = False, []
         guessed = bool(finder.by_hand or finder.missing)
         shape = finder._limbs_by_shape() if finder.missing else None
         for problem in implausible(skeleton, finder.limbs, guessed):
@@ -258,15 +261,14 @@ class PartFinder:
 
     def fingers(self) -> list[int]:
         """Return the joints below the wrists, except hands and end joints."""
-        wrists = [self.limbs[f"{side}_wrist"] for side in SIDES]
-        below = {j for w in wrists if w is not None for j in self.skeleton.descendants(w)}
+        below = {j for wrist in self._both("wrist") for j in self.skeleton.descendants(wrist)}
         return [j for j in sorted(below - self.ends) if not self.bare[j].endswith("hand")]
 
     def _trunk(self, shape: Limbs | None) -> None:
         """Find pelvis, spine, neck and head from the limbs."""
-        chest = self._chest()
+        chest = self.skeleton.common_ancestor(*self._both("shoulder"))
         if self.has_legs:
-            hips = self._joint("left_hip"), self._joint("right_hip")
+            hips = self._both("hip")
             self.pelvis: int | None = self.skeleton.common_ancestor(*hips, chest)
         else:
             self.pelvis = self._lowest_of_trunk(chest)
@@ -281,11 +283,6 @@ class PartFinder:
         if len(self.spine) > 1 and self.bare[chest].endswith("neck"):
             self.neck.insert(0, self.spine.pop())
 
-    def _is_legless(self) -> bool:
-        """Return whether the rig has both arms, and nothing that could be a leg."""
-        known = set(self.missing) <= set(_LEGS) and all(self.limbs[p] is None for p in _LEGS)
-        return known and not self._possible_legs()
-
     def _possible_legs(self) -> list[int]:
         """Return the first joints of chains that are long enough for legs, on a rig with arms.
 
@@ -294,15 +291,11 @@ class PartFinder:
         chest itself, where neck and head are too and a spine may lead downwards, if they are longer
         than an arm.
         """
-        skeleton = self.skeleton
-        chest = self._chest()
+        skeleton, shoulders, elbows = self.skeleton, self._both("shoulder"), self._both("elbow")
+        chest = skeleton.common_ancestor(*shoulders)
         trunk = {chest, *skeleton.ancestors(chest)}
-        elbows = [self._joint(f"{side}_elbow") for side in SIDES]
         # Forearms are about as long as upper arms, but may lack a wrist.
-        arm = sum(
-            bone_length(skeleton, self._joint(f"{side}_shoulder"), elbow)
-            for side, elbow in zip(SIDES, elbows)
-        )
+        arm = sum(bone_length(skeleton, *bone) for bone in zip(shoulders, elbows))
         others = {*elbows, *self._named_heads(), self.by_hand.get("head")}
         legs = []
         for above in trunk:
@@ -329,7 +322,7 @@ class PartFinder:
     def _known_trunk(self) -> None:
         """Find the parts of the trunk that the known limbs and the names identify."""
         skeleton, limbs = self.skeleton, self.limbs
-        hips = [j for side in SIDES if (j := limbs[f"{side}_hip"]) is not None]
+        hips = self._both("hip")
         arms = [limbs[f"{side}_clavicle"] or limbs[f"{side}_shoulder"] for side in SIDES]
         hanging = [
             next((above for above in skeleton.ancestors(j) if not self.side[above]), 0)
@@ -347,28 +340,23 @@ class PartFinder:
         of_side = [j for j, own in enumerate(self.side) if own == side]
         elbow = self._find(f"{side}_elbow", of_side, _ELBOW)
         shoulder = self._above(f"{side}_shoulder", elbow, side)
-        self._above(f"{side}_clavicle", shoulder, side, required=False)
-        self._find(f"{side}_wrist", self._below(elbow), _WRIST, required=False)
+        self._above(f"{side}_clavicle", shoulder, side)
+        self._find(f"{side}_wrist", self._below(elbow), _WRIST)
 
     def _leg(self, side: str) -> None:
         # A "leg" without a joint of its side above it is a thigh.
         of_side = [j for j, own in enumerate(self.side) if own == side]
-        below_hip = [j for j in of_side if not set(of_side).isdisjoint(self.skeleton.ancestors(j))]
-        knee = self._find(f"{side}_knee", below_hip, _KNEE, but=_NOT_KNEE)
+        below = [j for j in of_side if not set(of_side).isdisjoint(self.skeleton.ancestors(j))]
+        shanks = [j for j in below if not self.bare[j].endswith(_NOT_KNEE)]
+        knee = self._find(f"{side}_knee", shanks, _KNEE)
         self._above(f"{side}_hip", knee, side)
         ankle = self._find(f"{side}_ankle", self._below(knee), _ANKLE)
-        self._find(f"{side}_toe", self._below(ankle), _TOE, required=False)
+        self._find(f"{side}_toe", self._below(ankle), _TOE)
 
-    def _joint(self, part: str) -> int:
-        """Return a joint of a limb that every person has."""
-        joint = self.limbs[part]
-        assert joint is not None
-        return joint
-
-    def _chest(self) -> int:
-        return self.skeleton.common_ancestor(
-            self._joint("left_shoulder"), self._joint("right_shoulder")
-        )
+    def _both(self, part: str) -> list[int]:
+        """Return the left and the right joint of a part of limbs, as far as they are known."""
+        joints = (self.limbs[f"{side}_{part}"] for side in SIDES)
+        return [joint for joint in joints if joint is not None]
 
     @cached_property
     def _reach(self) -> np.ndarray:
@@ -378,22 +366,13 @@ class PartFinder:
     def _below(self, joint: int | None) -> Iterable[int]:
         return () if joint is None else self.skeleton.descendants(joint)
 
-    def _find(
-        self,
-        part: str,
-        among: Iterable[int],
-        endings: tuple[str, ...],
-        but: tuple[str, ...] = (),
-        required: bool = True,
-    ) -> int | None:
+    def _find(self, part: str, among: Iterable[int], endings: tuple[str, ...]) -> int | None:
         """Store and return the joint nearest the root whose bare name has one of `endings`."""
-        fitting = [
-            j for j in among if self.bare[j].endswith(endings) and not self.bare[j].endswith(but)
-        ]
+        fitting = [j for j in among if self.bare[j].endswith(endings)]
         nearest = min(fitting, key=lambda j: self.skeleton.depth[j], default=None)
-        return self._settle(part, nearest, required)
+        return self._settle(part, nearest)
 
-    def _above(self, part: str, joint: int | None, side: str, required: bool = True) -> int | None:
+    def _above(self, part: str, joint: int | None, side: str) -> int | None:
         """Store and return the nearest joint above on the same side, twist helpers skipped.
 
         If a bone is split into several joints ("upper_arm.L", "upper_arm.L.001"), the first counts.
@@ -404,15 +383,12 @@ class PartFinder:
             if bone is not None and (not is_bone or self.bare[j] != self.bare[bone]):
                 break
             bone = j if is_bone else None
-        return self._settle(part, bone, required)
+        return self._settle(part, bone)
 
-    def _settle(self, part: str, joint: int | None, required: bool) -> int | None:
+    def _settle(self, part: str, joint: int | None) -> int | None:
         """Store a part, as specified by hand or else as given, and return its joint."""
-        joint = self.by_hand.get(part, joint)
-        if joint is None and required:
-            self.missing.append(part)
-        self.limbs[part] = joint
-        return joint
+        self.limbs[part] = self.by_hand.get(part, joint)
+        return self.limbs[part]
 
     def _limbs_by_shape(self) -> Limbs:
         """Fill in missing limbs from the shape of the rig.
@@ -445,8 +421,7 @@ class PartFinder:
 
     def _head(self, chest: int, shape: Limbs | None) -> int | None:
         """Return the head: specified by hand, or by name, shape or position above the chest."""
-        starts = [self.limbs[f"{side}_{part}"] for side in SIDES for part in ARM[:2]]
-        arms = [joint for joint in starts if joint is not None]
+        arms = [*self._both("clavicle"), *self._both("shoulder")]
         in_limbs = {*arms, *(below for j in arms for below in self.skeleton.descendants(j))}
         by_hand = self.by_hand.get("head")
         if by_hand is not None:
