@@ -120,9 +120,7 @@ class Files:
             missing = f"no file of features {name} {where}{npy}: compute it, or name its folder"
             raise FeatureError(f"{wave.source}: {missing} (folder:, --weights files=FOLDER)")
         try:
-            values, times = self._read(path)
-            self._check(path, times, wave)
-            return self._part(values, times, wave)
+            return self._part(*self._read(path), wave, path)
         except (OSError, FeatureError) as error:
             reason = str(error).removeprefix(f"{path}: ")
             raise FeatureError(f"{path}, features of {wave.source}: {reason}") from error
@@ -147,29 +145,27 @@ class Files:
             times = self.start + np.arange(len(values)) / self.rate
         return values, times
 
-    def _check(self, path: Path, times: np.ndarray, wave: Wave) -> None:
-        """Compare the last time with the end of the sound: a wrong rate must not pass."""
-        if len(times) == 1:
-            return
-        slack = SLACK + 2 * float(np.median(np.diff(times[:1000])))
-        end = wave.offset + wave.duration
-        if times[-1] < end - slack or times[0] > wave.offset + slack:
+    def _part(self, values: np.ndarray, times: np.ndarray, wave: Wave, path: Path) -> FeatureTrack:
+        """Return the rows within the wave and the ones beside it, in the wave's own time.
+
+        The last time is compared with the end of the sound: a wrong rate must not pass.
+        """
+        slack = SLACK + 2 * float(np.median(np.diff(times[:1000]))) if len(times) > 1 else math.inf
+        start, end = wave.offset, wave.offset + wave.duration
+        if times[-1] < end - slack or times[0] > start + slack:
             rows = f"its {len(times)} rows are from {times[0]:.2f} to {times[-1]:.2f} s"
-            sound = f"the sound from {wave.offset:.2f} to {end:.2f} s"
+            sound = f"the sound from {start:.2f} to {end:.2f} s"
             raise FeatureError(f"{rows}, {sound}: check the rate and the file")
         if times[-1] > end + slack and times[-1] > (whole := _length(wave)) + slack:
             text = "%s: its rows end at %.2f s, the sound %s at %.2f s; check the rate"
             log.warning(text, path, times[-1], wave.source, whole)
-
-    def _part(self, values: np.ndarray, times: np.ndarray, wave: Wave) -> FeatureTrack:
-        """Return the rows within the wave and the ones beside it, in the wave's own time."""
-        first = max(0, int(np.searchsorted(times, wave.offset, side="right")) - 1)
-        last = int(np.searchsorted(times, wave.offset + wave.duration)) + 1
-        part = values[first:last]
+        first = max(0, int(np.searchsorted(times, start, side="right")) - 1)
+        rows_of_wave = slice(first, int(np.searchsorted(times, end)) + 1)
+        part = values[rows_of_wave]
         if (bad := bad_value(part)) is not None:
             row, column = bad
             raise FeatureError(f"row {first + row}, column {column}: {part[bad]:g} {NO_NUMBER}")
-        return FeatureTrack(part, times[first:last] - wave.offset, self.spec, self.names)
+        return FeatureTrack(part, times[rows_of_wave] - start, self.spec, self.names)
 
     def __repr__(self) -> str:
         return f"Files({self.spec})"

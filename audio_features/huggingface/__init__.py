@@ -277,16 +277,9 @@ class Layers:
         self._depth = len(layers)
         # State 0 is the input of the first layer, so that one layer always remains.
         self._encoder.layers = layers[: max(1, top)]
-        self._norm: Any = getattr(self._encoder, "layer_norm", None)
-
-    @property
-    def ends_in_norm(self) -> bool:
-        """True if the topmost state is normalised to give the network's output."""
-        return not self._whisper and "Stable" in type(self._encoder).__name__
-
-    def final_norm(self, x: torch.Tensor) -> torch.Tensor:
-        """Apply the final normalisation to the topmost state (B, T, width)."""
-        return self._norm(x)
+        # The normalisation of the topmost state, and whether that gives the network's output.
+        self.final_norm: Any = getattr(self._encoder, "layer_norm", None)
+        self.ends_in_norm = not self._whisper and "Stable" in type(self._encoder).__name__
 
     def states(self, x: torch.Tensor) -> Iterator[torch.Tensor]:
         """Yield the hidden states 0 to `top`, each (B, T, width), of a batch of windows.
@@ -311,5 +304,5 @@ class Layers:
                 for hook in hooks:
                     hook.remove()
         if self._whisper and len(layers) == self._depth:
-            states[-1] = self._norm(states[-1])
+            states[-1] = self.final_norm(states[-1])
         yield from states

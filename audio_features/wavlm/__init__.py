@@ -304,17 +304,11 @@ class Encoder:
         self._norm = tensors["encoder.layer_norm.weight"], tensors["encoder.layer_norm.bias"]
         self._embedding = tensors["encoder.layers.0.attention.rel_attn_embed.weight"]
         self._layers = [self._layer(tensors, f"encoder.layers.{i}.") for i in range(depth)]
-
-    @property
-    def reach(self) -> tuple[int, int]:
-        """Number of frames before and after each frame that the positional convolution covers."""
-        before = self._shape.position_kernel // 2
-        return before, self._shape.position_kernel - 1 - before
-
-    @property
-    def ends_in_norm(self) -> bool:
-        """True if the network's output is its last state after normalisation (Large)."""
-        return self._shape.pre_norm
+        # Frames before and after each frame that the positional convolution covers.
+        before = shape.position_kernel // 2
+        self.reach = before, shape.position_kernel - 1 - before
+        # Large's output is its last state after normalisation.
+        self.ends_in_norm = shape.pre_norm
 
     def states(self, x: torch.Tensor) -> Iterator[torch.Tensor]:
         """Yield hidden states 0 (input of the first layer) to `depth`, each (B, T, width).

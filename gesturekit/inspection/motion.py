@@ -23,7 +23,6 @@ from gesturekit.motion.defects import (
     jitter_share,
     speed_limit,
 )
-from gesturekit.motion.face import FaceTrack
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts import SIDES, is_upper_body, known_part_labels
 from gesturekit.motion.parts.body_size import body_scale
@@ -113,7 +112,10 @@ def _rows(motion: Motion, facts: Mapping[str, Any], figure: Figure) -> dict[str,
     speeds = f"{facts['hand_speed_mean']:.2f} m/s on average, {facts['hand_speed_max']:.2f} at most"
     shares = [f"{side} {100 * share:.0f} %" for side, share in facts["contact_share"].items()]
     feet = f"in contact in {', '.join(shares)} of the frames; floor at Y = {figure.floor:.2f} m"
-    frames = counted(motion.n_frames, "frame")
+    frames, face = counted(motion.n_frames, "frame"), ""
+    if track := motion.face:
+        origin = "made by rules from speech" if track.origin == "rules" else track.origin
+        face = f"{counted(len(track.names), 'channel')}, {origin}: {listed(track.names, 4)}"
     return {
         "time": f"{span(motion.duration)}: {frames} at {motion.fps:.6g} fps",
         "axes": ", ".join(axes),
@@ -122,15 +124,8 @@ def _rows(motion: Motion, facts: Mapping[str, Any], figure: Figure) -> dict[str,
         figure.speed_of: speeds if motion.n_frames > 1 else "",
         "feet": feet if shares else "",
         "legs": "none: upper body only" if is_upper_body(skeleton) else "",
-        "face": _face(motion.face),
+        "face": face,
     }
-
-
-def _face(face: FaceTrack | None) -> str:
-    if face is None:
-        return ""
-    origin = "made by rules from speech" if face.origin == "rules" else face.origin
-    return f"{counted(len(face.names), 'channel')}, {origin}: {listed(face.names, 4)}"
 
 
 def _contents(facts: Mapping[str, Any]) -> dict[str, str]:
