@@ -53,7 +53,7 @@ _INTERNAL = {
         "scaled_like standard_error whole_set"
     ),
     "statistics.model_metrics": "above_chance informative metric_results",
-    "statistics.paired": "Contest contests distance p_of_difference",
+    "statistics.paired": "contests distance p_of_difference",
     "statistics.questions": "answer_questions answers_of verdict",
 }
 """Names that are imported within the project."""

@@ -42,6 +42,7 @@ from gesturekit.evaluation.results import (
     MetricResult,
     ModelResult,
 )
+from gesturekit.evaluation.statistics.paired import Row
 from gesturekit.evaluation.statistics.questions import same_verdicts
 from gesturekit.motion import Motion
 from gesturekit.viewer import player_data, player_shell
@@ -120,7 +121,7 @@ def _environment() -> jinja2.Environment:
     """Return the environment of the page: all text loses its folders."""
     environment = text.templates(_PAGE)
     environment.finalize = lambda value: without_folders(value) if type(value) is str else value
-    environment.globals |= {"colour": colour, "counted": counted}
+    environment.globals |= {"arrows": text.ARROWS, "colour": colour, "counted": counted}
     environment.tests["contains"] = lambda names, name: name in names
     environment.filters |= {
         "number": text.number,
@@ -128,6 +129,7 @@ def _environment() -> jinja2.Environment:
         "spread": text.spread_in_words,
         "level": text.level_in_words,
         "remarks": text.remarks,
+        "shared_remarks": text.shared_remarks,
         "px": "{:.1f}".format,
     }
     return environment
@@ -170,12 +172,12 @@ class Question:
     Attributes:
         text: its heading.
         results: {label of a model: its score}.
-        best: index of the model whose score is bold, or None.
+        best: label of the model whose score is bold, or None.
     """
 
     text: str
     results: dict[str, MetricResult]
-    best: int | None
+    best: str | None
 
     @property
     def has_intervals(self) -> bool:
@@ -197,7 +199,7 @@ class Question:
         return 6.0 + 248.0 * (value - low) / (high - low)
 
 
-def _questions(models: Sequence[ModelResult], headline: Sequence[text.Row]) -> list[Question]:
+def _questions(models: Sequence[ModelResult], headline: Sequence[Row]) -> list[Question]:
     """Return the questions that head the page; none without answers.
 
     A broken motion has no scores there, and does not stretch the lines of the others.

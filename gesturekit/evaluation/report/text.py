@@ -6,13 +6,12 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
-from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS, Definition
+from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     Evaluation,
@@ -24,7 +23,7 @@ from gesturekit.evaluation.results import (
 from gesturekit.evaluation.statistics.agreement import conclusion
 from gesturekit.evaluation.statistics.intervals import Takes
 from gesturekit.evaluation.statistics.model_metrics import level_name
-from gesturekit.evaluation.statistics.paired import Contest, contests
+from gesturekit.evaluation.statistics.paired import Row, contests
 from gesturekit.wording import counted, listed, printable
 
 CSV_COLUMNS = (
@@ -102,59 +101,31 @@ def level_in_words(level: Level) -> str:
     return f"{level_name(level)} {number(level.value)}{spread}{count}"
 
 
-@dataclass(frozen=True)
-class Row:
-    """A metric with the results of all models.
+def shared_remarks(row: Row) -> list[str]:
+    """Return the remarks that hold for every model; they stand once, at the name of the metric."""
+    first, *others = map(remarks, row.known)
+    return [remark for remark in first if all(remark in other for other in others)]
 
-    Attributes:
-        definition: of the metric.
-        results: results of each model; None where it was not measured.
-        contest: order of the models; None without a value of the recordings.
-        best: index of the model whose value is bold, or None.
+
+def cells(
+    evaluation: Evaluation, row: Row, best: str, escaped: Callable[[str], str] = str
+) -> list[str]:
+    """Return name, direction, the models' values, that of the recordings, and chance as text.
+
+    Args:
+        evaluation: whose models the values are of.
+        row: the metric.
+        best: format of the value that is bold.
+        escaped: changes each text before.
     """
-
-    definition: Definition
-    results: tuple[MetricResult | None, ...]
-    contest: Contest | None = None
-    best: int | None = None
-
-    @property
-    def known(self) -> list[MetricResult]:
-        """The results of the models that have any."""
-        return [result for result in self.results if result is not None]
-
-    @property
-    def direction(self) -> tuple[str, str]:
-        """Sign and meaning of the better direction; no sign where a model is beyond that value."""
-        return ARROWS[self.definition.better if self.contest is None else self.contest.direction]
-
-    @property
-    def recorded(self) -> MetricResult | None:
-        """The first result that has the recordings' own value."""
-        return next((result for result in self.known if result.recording is not None), None)
-
-    @property
-    def shared_remarks(self) -> list[str]:
-        """The remarks that hold for every model; they stand once, at the name of the metric."""
-        first, *others = map(remarks, self.known)
-        return [remark for remark in first if all(remark in other for other in others)]
-
-    def cells(self, best: Callable[[str], str], escaped: Callable[[str], str] = str) -> list[str]:
-        """Return name, direction, the models' values, that of the recordings, and chance as text.
-
-        Args:
-            best: marks the value that is bold.
-            escaped: changes each text before.
-        """
-        chance = [v for f in self.known[:1] for v in (f.chance, f.mismatched) if v is not None]
-        recorded = [f.recording for f in self.known if f.recording is not None]
-        values = [escaped(value_text(result)) for result in self.results]
-        if self.best is not None:
-            values[self.best] = best(values[self.best])
-        arrow = "" if self.contest is None else self.direction[0]
-        own = number(recorded[0]) if recorded else ""
-        others = (own, number(max(chance)) if chance else "")
-        return [self.definition.title, escaped(arrow), *values, *map(escaped, others)]
+    chance = [v for f in row.known[:1] for v in (f.chance, f.mismatched) if v is not None]
+    values = [
+        (best if model.label == row.best else "{}").format(escaped(value_text(result)))
+        for model, result in zip(evaluation.models, row.results, strict=True)
+    ]
+    arrow, own = ("", "") if row.own is None else (ARROWS[row.direction][0], number(row.own))
+    others = (own, number(max(chance)) if chance else "")
+    return [row.definition.title, escaped(arrow), *values, *map(escaped, others)]
 
 
 def remarks(result: MetricResult) -> list[str]:
@@ -166,15 +137,9 @@ def remarks(result: MetricResult) -> list[str]:
 
 def rows_by_group(evaluation: Evaluation) -> dict[str, list[Row]]:
     """Return {group of metrics: its rows} of the groups that have any."""
-    decided = contests(evaluation.models)
-    labels = [model.label for model in evaluation.models]
-    groups: dict[str, list[Row]] = {group: [] for group in GROUPS}
-    for definition in evaluation.definitions():
-        contest = decided.get(definition.key)
-        best = None if contest is None or contest.best is None else labels.index(contest.best)
-        results = tuple(model.metrics.get(definition.key) for model in evaluation.models)
-        groups[definition.group].append(Row(definition, results, contest, best))
-    return {group: rows for group, rows in groups.items() if rows}
+    rows = contests(evaluation.models, evaluation.definitions()).values()
+    groups = {group: [row for row in rows if row.definition.group == group] for group in GROUPS}
+    return {group: some for group, some in groups.items() if some}
 
 
 def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
@@ -225,8 +190,8 @@ def terminal_lines(evaluation: Evaluation) -> list[str]:
     table = [["", "", *labels, "recording", "chance"]]
     for group, rows in groups.items():
         table.append([f"{group}:"])
-        for name, *cells in (row.cells("*{}".format) for row in rows):
-            table.append([f"  {name}", *cells])
+        for name, *values in (cells(evaluation, row, "*{}") for row in rows):
+            table.append([f"  {name}", *values])
     bare = _without_interval(evaluation, [row for rows in groups.values() for row in rows])
     return [*headline_lines(evaluation), *aligned(table), evaluation.basis, *bare]
 
@@ -384,7 +349,9 @@ def _table(evaluation: Evaluation, name: str, escaped: Callable[[str], str]) -> 
     environment = templates(_PAGE, autoescape=False)
     environment.filters["escaped"] = escaped
     groups = rows_by_group(evaluation)
-    return environment.get_template(name).render(evaluation=evaluation, groups=groups, latex=_latex)
+    return environment.get_template(name).render(
+        evaluation=evaluation, groups=groups, cells=cells, latex=_latex
+    )
 
 
 def csv_text(evaluation: Evaluation) -> str:
@@ -395,8 +362,8 @@ def csv_text(evaluation: Evaluation) -> str:
     for row in (row for rows in rows_by_group(evaluation).values() for row in rows):
         for i, result in enumerate(row.results):
             if result is not None:
-                decided = {"best": i == row.best, "p": row.contest and row.contest.p}
                 label = {"model": evaluation.models[i].label}
+                decided = {"best": row.best == label["model"], "p": row.p}
                 writer.writerow(label | row.definition.to_json() | result.to_json() | decided)
     return text.getvalue()
 

@@ -11,13 +11,13 @@ the recordings' own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gesturekit.evaluation.definitions import DEFINITIONS
-from gesturekit.evaluation.results import ClipResult, ModelResult
+from gesturekit.evaluation.definitions import DEFINITIONS, Definition
+from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import (
     FEW,
     LEVEL,
@@ -34,12 +34,13 @@ NEARER = 0.75
 
 
 @dataclass(frozen=True)
-class Contest:
-    """One row of a report: its models in order.
+class Row:
+    """A metric with the results of all models: a row of the report.
 
     Attributes:
-        key: key of `definitions`.
-        own: the recordings' own value.
+        definition: of the metric.
+        results: results of each model; None where it was not measured.
+        own: the recordings' own value, or None.
         distances: {model: distance of its value to it}; the least is the best.
         direction: "higher" or "lower" where no model is beyond the recordings' own value, so that
             more, or less, is nearer to it; else "reference".
@@ -48,25 +49,38 @@ class Contest:
             None where it was not tested.
     """
 
-    key: str
-    own: float
+    definition: Definition
+    results: tuple[MetricResult | None, ...]
+    own: float | None
     distances: Mapping[str, float]
     direction: str
     best: str | None = None
     p: float | None = None
 
+    @property
+    def known(self) -> list[MetricResult]:
+        """The results of the models that have any."""
+        return [result for result in self.results if result is not None]
 
-def contests(models: Sequence[ModelResult]) -> dict[str, Contest]:
-    """Return {key: contest} of all rows whose recordings' own value is known."""
+
+def contests(
+    models: Sequence[ModelResult], definitions: Iterable[Definition] = DEFINITIONS.values()
+) -> dict[str, Row]:
+    """Return {key: row} of the metrics that a model has."""
     rows = {}
-    for key in DEFINITIONS:
+    for definition in definitions:
+        key = definition.key
         known = [model for model in models if key in model.metrics]
         values = {model.label: model.metrics[key].interval.value for model in known}
         own = next((own for m in known if (own := m.metrics[key].recording) is not None), None)
+        distances, direction, p = dict[str, float](), definition.better, None
         if own is not None:
             distances = {label: float(distance(key, v, own)) for label, v in values.items()}
             direction = _direction(key, own, values.values())
-            rows[key] = Contest(key, own, distances, direction, p=_tested(key, known, distances))
+            p = _tested(key, known, distances)
+        if known:
+            results = tuple(model.metrics.get(key) for model in models)
+            rows[key] = Row(definition, results, own, distances, direction, p=p)
     adjusted = holm([np.nan if row.p is None else row.p for row in rows.values()]).tolist()
     for (key, row), p in zip([*rows.items()], adjusted, strict=True):
         if row.p is not None:
