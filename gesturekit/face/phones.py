@@ -22,10 +22,10 @@ from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
-from audio_features.acoustic.analysis import SAMPLE_RATE
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from audio_features import Wave
+from audio_features.acoustic import SAMPLE_RATE
 from gesturekit.errors import MotionError
 from gesturekit.motion.resampling import smoothstep
 from gesturekit.wording import listed

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 import torch.nn.functional as F
-from audio_features.acoustic.analysis import FRAME_RATE
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 import audio_features as af
+from audio_features.acoustic import FRAME_RATE
 from audio_features.acoustic.streaming import REACH, SpectrumStream, check_streams
 from audio_features.track import FeatureTrack
 from gesturekit.corpus.speech import SpeechConditioner, parts_of

@@ -35,7 +35,7 @@ from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.contacts import floor_height
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.retarget.standing_pose import standing_pose
+from gesturekit.motion.retarget.body_frames import standing_pose
 from gesturekit.motion.rig_changes import can_be_mirrored
 from gesturekit.motion.root_path import RootPath, follow_path
 from gesturekit.state.channels import StateChannels
