@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,17 +77,15 @@ class Report:
     missed: int = 0
     failures: list[str] = field(default_factory=list)
 
-    def timed(self, work: Callable[[], Motion | None]) -> Motion | None:
-        """Do a step of work, and keep how long it took and how many frames it made."""
-        begun = time.perf_counter()
-        motion = work()
-        ended = time.perf_counter()
-        self.steps.append(ended - begun)
-        self.computed += ended - begun
+    def add(self, motion: Motion | None, seconds: float, lag: float | None) -> None:
+        """Count the frames of a step, the seconds that it took, and those since its sound came."""
+        self.steps.append(seconds)
+        self.computed += seconds
         if motion is not None:
             self.frames += motion.n_frames
-            self.first_pose = self.first_pose or ended - self.begun
-        return motion
+            self.first_pose = self.first_pose or time.perf_counter() - self.begun
+        if lag is not None:
+            self.lags.append(lag)
 
     def figures(self) -> dict[str, float | None]:
         """Return all figures by name; seconds, if the name says no other unit."""
@@ -229,13 +227,14 @@ def run(
     timeline, intake = Timeline(source.rate, source.tolerance), Intake(source)
     feeds = [_Feed(sink, source.fast, warn) for sink in sinks]
 
-    def deliver(samples: np.ndarray, work: Callable[[], Motion | None]) -> None:
-        seconds, lag = stream.n_frames / stream.fps, None
-        whole = work if face is None else lambda: face.added(samples, work())
-        motion, captured = report.timed(whole), timeline.moment(seconds)
-        if motion is not None and captured is not None:
-            lag = time.monotonic() - captured
-            report.lags.append(lag)
+    def deliver(samples: np.ndarray) -> None:
+        seconds, begun = stream.n_frames / stream.fps, time.perf_counter()
+        motion = stream.step(samples) if len(samples) else stream.finish()
+        if face is not None:
+            motion = face.added(samples, motion)
+        captured, taken = timeline.moment(seconds), time.perf_counter() - begun
+        lag = None if motion is None or captured is None else time.monotonic() - captured
+        report.add(motion, taken, lag)
         for feed in feeds:
             feed.put(Step(samples, motion, seconds, lag))
 
@@ -244,9 +243,9 @@ def run(
             if feeds and all(feed.failure for feed in feeds):
                 break
             if len(samples):
-                deliver(samples, partial(stream.step, samples))
+                deliver(samples)
         intake.stopped.set()
-        deliver(_NOTHING, stream.finish)
+        deliver(_NOTHING)
     finally:
         intake.stopped.set()
         for feed in feeds:
