@@ -6,9 +6,6 @@ import because it is built for CUDA; everything else still works.
 
 from __future__ import annotations
 
-from functools import lru_cache
-from types import ModuleType
-
 import numpy as np
 
 from audio_features.errors import FeatureError
@@ -24,20 +21,6 @@ _RESAMPLER = {
 _BLOCK_FRAMES = 6000  # one minute on the device at a time
 
 
-@lru_cache
-def import_torchaudio() -> tuple[ModuleType | None, str | None]:
-    """Return (torchaudio, None), or (None, the reason why it cannot be used)."""
-    try:
-        import torchaudio
-        import torchaudio.functional
-    except ImportError as error:
-        missing = getattr(error, "name", None) == "torchaudio"
-        return None, "not installed" if missing else f"does not import: {error}"
-    except OSError as error:
-        return None, f"its extension does not load (built for another torch): {error}"
-    return torchaudio, None
-
-
 class Backend:
     """torchaudio on a device; values agree with the default's to about 0.01 dB.
 
@@ -50,16 +33,22 @@ class Backend:
     def __init__(self, device: str) -> None:
         import torch
 
-        module, problem = import_torchaudio()
-        if module is None:
+        try:
+            import torchaudio.functional
+
+            torch.zeros(1, device=device)
+        except (ImportError, OSError) as error:
+            problem = f"does not import: {error}"
+            if isinstance(error, OSError):
+                problem = f"its extension does not load (built for another torch): {error}"
+            elif error.name == "torchaudio":
+                problem = "not installed"
             remedy = "install the build that matches torch, or leave the backend out"
             how = f"{remedy} (see `gesturekit doctor`)"
-            raise FeatureError(f"backend='torchaudio': torchaudio is {problem}: {how}")
-        try:
-            torch.zeros(1, device=device)
+            raise FeatureError(f"backend='torchaudio': torchaudio is {problem}: {how}") from error
         except (RuntimeError, AssertionError) as error:
             raise FeatureError(f"device={device!r}: {str(error).splitlines()[0]}") from error
-        self._functional, self._device = module.functional, device
+        self._functional, self._device = torchaudio.functional, device
 
     def resampled(self, wave: Wave, rate: int) -> Wave:
         """Resample a sound."""

@@ -123,7 +123,7 @@ Windows = tuple[int, Callable[[int, int], torch.Tensor]]
 
 
 class FrontEnd(NamedTuple):
-    """What an encoder's layers take of a sound.
+    """Inputs of an encoder's layers, made of a sound.
 
     Attributes:
         windows: makes them of samples (N,) float32 at 16 kHz, normalised as the encoder expects,
