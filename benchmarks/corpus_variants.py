@@ -22,7 +22,7 @@ from gesturekit.corpus import Manifest, prepare
 from gesturekit.corpus.manifest import Item
 from gesturekit.motion import Motion
 from gesturekit.motion.concatenation import concatenate
-from gesturekit.motion.rig_changes import can_be_mirrored
+from gesturekit.motion.motion import can_be_mirrored
 
 TEMPO, GAIN_DB = 0.1, 6.0
 """Largest change of the tempo, as a share, and of the gain."""

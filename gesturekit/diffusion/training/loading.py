@@ -33,10 +33,9 @@ from gesturekit.diffusion.training.data import (
 )
 from gesturekit.errors import ConfigError, CorpusError, MotionError
 from gesturekit.motion.contacts import floor_height
-from gesturekit.motion.motion import Motion
+from gesturekit.motion.motion import Motion, can_be_mirrored
 from gesturekit.motion.retarget import retarget
 from gesturekit.motion.retarget.body_frames import standing_pose
-from gesturekit.motion.rig_changes import can_be_mirrored
 from gesturekit.motion.root_path import RootPath, follow_path
 from gesturekit.state.channels import StateChannels
 from gesturekit.state.process import RecordedState, StateProcess

@@ -30,9 +30,8 @@ from gesturekit.diffusion.training.data import TrainingData
 from gesturekit.diffusion.training.loading import load_training_data, read_recordings
 from gesturekit.errors import MotionError
 from gesturekit.evaluation.measuring.clip_metrics import quick_metrics
-from gesturekit.motion.motion import Motion
+from gesturekit.motion.motion import Motion, can_be_mirrored
 from gesturekit.motion.parts import unidentified
-from gesturekit.motion.rig_changes import can_be_mirrored
 from gesturekit.motion.torch_kinematics import foot_kinematics
 from gesturekit.postprocess import smooth_motion
 from gesturekit.state.process import StateProcess
