@@ -321,7 +321,8 @@ def _read_sliders(files: Sequence[Path], raters: _Raters) -> tuple[Ratings, list
         )
     ratings = Ratings(**units, value=np.array(values), seconds=np.array(seconds))
     table = np.stack([ratings.system, ratings.rater, ratings.clip, ratings.question, values])
-    once = np.sort(np.unique(table, axis=1, return_index=True)[1])
+    order = np.lexsort(table)
+    once = np.sort(order[np.append(True, (np.diff(table[:, order]) != 0.0).any(axis=0))])
     repeated = len(values) - len(once)
     notes = [f"{counted(empty, 'line')} without a value left out"] if empty else []
     notes += [f"{counted(repeated, 'repeated line')} counted once"] if repeated else []

@@ -131,54 +131,50 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
     if key == "likeness":
         ours, theirs = (pseudo_values_of(m.metrics[key].groups) for m in (one, other))
         takes = sorted(ours.keys() & theirs.keys())
-        sides = [np.array([side[take] for take in takes]) for side in (ours, theirs)]
-        distances = [-side for side in sides]
+        values = [np.array([side[take] for take in takes]) for side in (ours, theirs)]
+        distances = [-side for side in values]
         speakers = np.unique([group for group, _ in takes], return_inverse=True)[1]
     else:
-        sides, distances, speakers = _take_values(key, one, other)
-    p = p_of_difference(sides[0], sides[1], speakers)
+        sides = _in_common(key, one, other)
+        speakers = Takes.of([clip.pair for clip in sides[0]]).speakers if sides[0] else np.empty(0)
+        if len(speakers) < FEW:
+            return None
+        found = [_take_values(key, m, clips) for m, clips in zip((one, other), sides, strict=True)]
+        values, distances = [ours for ours, _ in found], [away for _, away in found]
+    p = p_of_difference(values[0], values[1], speakers)
     farther = p_of_difference(distances[1], distances[0], speakers, above=True)
     return p if p is None or (farther is not None and farther <= 1.0 - NEARER) else 1.0
 
 
-def _take_values(
-    key: str, *models: ModelResult
-) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """Return values (R,) of models by take, distances to the recordings', and speakers (R,).
-
-    They are of the recordings of which each clip of all models has the value. The distances are
-    pseudo-values of the jackknife. Nothing with fewer than `FEW` takes.
-    """
-    clips = [_by_recording(model) for model in models]
+def _in_common(key: str, *models: ModelResult) -> list[list[ClipResult]]:
+    """Return models' clips of the recordings of which each clip of all models has the value."""
+    found: list[dict[str, list[ClipResult]]] = []
+    for model in models:
+        found.append({})
+        for clip in model.clips:
+            found[-1].setdefault(clip.pair.stem, []).append(clip)
     stems = sorted(
-        stem for stem in set.intersection(*map(set, clips))
-        if all(key in clip.metrics for side in clips for clip in side[stem])
+        stem for stem in set.intersection(*map(set, found))
+        if all(key in clip.metrics for clips in found for clip in clips[stem])
     )  # fmt: skip
-    values, distances, speakers = [], [], np.zeros(0, int)
-    for model, side in zip(models, clips, strict=True):
-        chosen = [clip for stem in stems for clip in side[stem]]
-        takes = Takes.of([clip.pair for clip in chosen]) if chosen else None
-        if takes is None or takes.count < FEW:
-            return [speakers] * 2, [speakers] * 2, speakers
-        ours, speakers = takes.means([clip.metrics[key] for clip in chosen]), takes.speakers
-        theirs = np.full(len(ours), model.metrics[key].recording)
-        if all(key in clip.recording for clip in chosen):
-            theirs = takes.means([clip.recording[key] for clip in chosen])
-        values.append(ours)
-        distances.append(pseudo_values(
-            lambda weights, ours=ours, theirs=theirs: (  # type: ignore[misc]
-                distance(key, weights @ ours, weights @ theirs)
-            ),
-            takes.count,
-        ))  # fmt: skip
-    return values, distances, speakers
+    return [[clip for stem in stems for clip in clips[stem]] for clips in found]
 
 
-def _by_recording(model: ModelResult) -> dict[str, list[ClipResult]]:
-    found: dict[str, list[ClipResult]] = {}
-    for clip in model.clips:
-        found.setdefault(clip.pair.stem, []).append(clip)
-    return found
+def _take_values(
+    key: str, model: ModelResult, clips: Sequence[ClipResult]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a model's values (R,) by take, and their distances to the recordings'.
+
+    The distances are pseudo-values of the jackknife.
+    """
+    takes = Takes.of([clip.pair for clip in clips])
+    ours = takes.means([clip.metrics[key] for clip in clips])
+    theirs = np.full(len(ours), model.metrics[key].recording)
+    if all(key in clip.recording for clip in clips):
+        theirs = takes.means([clip.recording[key] for clip in clips])
+    return ours, pseudo_values(
+        lambda weights: distance(key, weights @ ours, weights @ theirs), takes.count
+    )
 
 
 def p_of_difference(
