@@ -223,7 +223,8 @@ class SpeechConditioner:
         is_features = stands_for_sound(name)
         if is_features and len(self.files) < len(parts_of(self.extractor)):
             raise ModelError(f"{name}: features, but this model computes its own: give the sound")
-        speech = af.speech_only(wave) if vad else wave
+        with one_blas_thread():
+            speech = af.speech_only(wave) if vad else wave
         if wave.is_silent and not is_features:
             log.warning("%s: silent; the motion will be idle", name)
         elif speech.is_silent and not wave.is_silent:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from audio_features.track import Method
+from gesturekit.corpus.speech import one_blas_thread
 from gesturekit.errors import SpeechError
 from gesturekit.jobs.result import Processor, Result, Task, json_of, path_digest
 from gesturekit.rendering.inputs import task_wave, task_words
@@ -79,7 +80,8 @@ class FeatureExtraction(Processor):
         for fault in (*wave.repairs, *wave.faults()):
             log.warning("%s: %s", task.source, fault)
         result.sound = wave.duration
-        track = self._extracted(wave)
+        with one_blas_thread():
+            track = self._extracted(wave)
         result.facts["shape"] = track.values.shape
         for file in self.missing(result, task.id):
             if file.suffix == ".npz":

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from outputs import results
+from threadpoolctl import threadpool_limits
 
 from audio_features import FeatureTrack
 from gesturekit.jobs.records import status_of
@@ -116,3 +117,11 @@ def test_results_of_another_verb_are_never_replaced(gesturekit, folder, tmp_path
     out = tmp_path / "out"
     assert gesturekit(*COMMANDS["convert"](folder, out)).status == 0
     gesturekit("features", folder, "--out", out).fails(2, "a.npz", "--existing")
+
+
+def test_features_are_the_same_for_any_number_of_threads(gesturekit, write_speech, tmp_path):
+    wav = write_speech(tmp_path / "a.wav", 3.0)
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            gesturekit("features", wav, "--no-cache", "--out", tmp_path / str(threads)).ok()
+    assert results(tmp_path / "1") == results(tmp_path / "2")
