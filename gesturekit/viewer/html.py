@@ -165,6 +165,9 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
     step = max(STEP * figure.height, float(np.abs(relative).max()) / 32_767)
     peak = figure.top_speed
     contacts = contact_track(motion)
+    head: dict[str, float] | None = None
+    if figure.head:
+        head = {**dict(zip(("base", "up", "face"), figure.head)), "size": figure.head_size}
     return {
         "label": label,
         "fps": figure.fps,
@@ -187,7 +190,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
             }
             for limb in figure.limbs
         ],
-        "head": vars(figure.head) if figure.head else None,
+        "head": head,
         "hands": figure.hands,
         "contacts": None if contacts is None else base64_text(contacts.tobytes()),
         "beats": _times(speed_minima(figure.hand_speed, figure.fps)),

@@ -218,14 +218,14 @@ def _figure(axes: Axes, figure: Figure, frame: int, time: float, wide: float) ->
         border = 0.6 if limb.radii[0] > 0.01 * figure.height else 0.0
         shapes.append((depth[a] + depth[b], outline, COLOURS[limb.side], border))
     if figure.head:
-        head = figure.head
-        up, looks = (flat[point] - flat[head.base] for point in (head.up, head.face))
-        centre = flat[head.base] + 0.4 * up
+        base, top, face = figure.head
+        size, up, looks = figure.head_size, flat[top] - flat[base], flat[face] - flat[base]
+        centre = flat[base] + 0.4 * up
         angle = np.degrees(np.arctan2(-up[0], up[1]))
-        skull = Ellipse(centre, 0.68 * head.size, 0.92 * head.size, angle=angle).get_verts()
-        shapes.append((2 * depth[head.base], np.asarray(skull), COLOURS[MIDDLE], 0.6))
-        if depth[head.face] > depth[head.base]:
-            nose = Ellipse(centre + 0.36 * looks, 0.12 * head.size, 0.26 * head.size, angle=angle)
+        skull = Ellipse(centre, 0.68 * size, 0.92 * size, angle=angle).get_verts()
+        shapes.append((2 * depth[base], np.asarray(skull), COLOURS[MIDDLE], 0.6))
+        if depth[face] > depth[base]:
+            nose = Ellipse(centre + 0.36 * looks, 0.12 * size, 0.26 * size, angle=angle)
             shapes.append((np.inf, np.asarray(nose.get_verts()), _NOSE, 0.0))
     # The farthest first, as a painter does.
     for order, (_, outline, colour, border) in enumerate(sorted(shapes, key=lambda s: s[0])):

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from gesturekit.motion.body_model import INFLUENCES, Skin, steady_turns
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure, Head, Limb
+from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure, Limb
 from gesturekit.viewer.human import TOPS, palette_of
 from gesturekit.viewer.raster import (
     SAMPLES,
@@ -85,7 +85,7 @@ class Mannequin:
         pieces = [_limb(limb, figure.height) for limb in limbs]
         owners = list(range(len(pieces)))
         if figure.head:
-            balls = [_ball(*ball, figure.head.size) for ball in _BALLS]
+            balls = [_ball(*ball, figure.head_size) for ball in _BALLS]
             owners += [len(limbs)] * len(balls)
             pieces += balls
         self.mesh = _joined(pieces, owners)
@@ -216,10 +216,10 @@ def _unit(vectors: np.ndarray, otherwise: tuple[float, ...]) -> tuple[np.ndarray
     return np.where(lengths[:, None] > 1e-9, unit, otherwise), lengths
 
 
-def _head_transform(points: np.ndarray, head: Head) -> np.ndarray:
-    base = points[head.base]
-    up, _ = _unit((points[head.up] - base)[None], (0.0, 1.0, 0.0))
-    forward = (points[head.face] - base)[None]
+def _head_transform(points: np.ndarray, head: tuple[int, int, int]) -> np.ndarray:
+    base, top, face = points[list(head)]
+    up, _ = _unit((top - base)[None], (0.0, 1.0, 0.0))
+    forward = (face - base)[None]
     forward, _ = _unit(forward - (forward * up).sum() * up, (0.0, 0.0, 1.0))
     return np.stack([np.cross(up, forward)[0], up[0], forward[0], base], axis=-1)
 
@@ -316,7 +316,7 @@ class Camera:
         """Fit the view; `aspect` is its width by its height, `framing` one of FRAMINGS."""
         points, lowest = figure.points, figure.floor + figure.below(framing)
         if framing == "face" and figure.head:  # hands may leave the view
-            points = points[:, [figure.head.base, figure.head.up, figure.head.face]]
+            points = points[:, list(figure.head)]
         middle = np.median(points, axis=1)  # a joint that is left behind does not count
         self._path = gaussian_filter1d(middle, _CALM * figure.fps, axis=0, mode="nearest")
         self._fps, self.floor = figure.fps, figure.floor

@@ -37,9 +37,9 @@ def test_parts_move_with_their_points_between_frames_too(gesture):
             if limb.width > 1:
                 across = points[left] - points[right]
                 assert wide @ across > 0.9 * limb.width * np.linalg.norm(across)
-        head, move = figure.head, moves[-1]
-        up, face = points[head.up] - points[head.base], points[head.face] - points[head.base]
-        assert move[:, 3] == pytest.approx(points[head.base], abs=1e-5)
+        base, *ends = points[list(figure.head)]
+        move, up, face = moves[-1], *(end - base for end in ends)
+        assert move[:, 3] == pytest.approx(base, abs=1e-5)
         assert move[:, 1] * np.linalg.norm(up) == pytest.approx(up, abs=1e-5)
         assert move[:, 2] @ face > 0.9 * np.linalg.norm(face)
         assert move[:, :3].T @ move[:, :3] == pytest.approx(np.eye(3), abs=1e-5)
