@@ -49,9 +49,11 @@ _TWIST = "Twist"
 _MAX_JOINTS = 256
 
 
-def palette_of(top: tuple[int, int, int] | None = None) -> dict[str, tuple[int, int, int]]:
-    """Return the colours of all regions, with another colour of the clothes if `top` is given."""
-    return COLOURS if top is None else COLOURS | {"top": top}
+def palette_of(skin: Skin, index: int) -> np.ndarray:
+    """Return the colours (R, 3) of a skin's regions; the human's clothes change with `index`."""
+    if skin.palette is not None:
+        return skin.palette
+    return np.array(list((COLOURS | {"top": TOPS[index % len(TOPS)]}).values()))
 
 
 @cache

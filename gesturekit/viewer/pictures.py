@@ -19,7 +19,6 @@ from audio_features import FeatureTrack, LogMel, Wave
 from audio_features.atomic import atomic_write
 from gesturekit.viewer.drawn_body import drawn_bodies
 from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure
-from gesturekit.viewer.human import TOPS
 from gesturekit.viewer.page_data import Playable, as_wave
 from gesturekit.viewer.scene import SkinnedBody, still
 from gesturekit.wording import printable
@@ -101,8 +100,7 @@ def write_picture(
     _speed(rows.pop(0 if wave else -1), figures, wave)
     draws = []
     for k, (axes, (label, drawn)) in enumerate(zip(rows, shown.items(), strict=True)):
-        top = TOPS[k % len(TOPS)]
-        skinned = SkinnedBody(drawn, drawn.skins[0], top) if drawn.skins else None
+        skinned = SkinnedBody(drawn, drawn.skins[0], k) if drawn.skins else None
         draws.append(_figures(axes, drawn.figure, label, (frames, seconds), skinned))
     # Bodies that reach out of their rows make these smaller, and are drawn again in their sizes.
     for _ in range(2):

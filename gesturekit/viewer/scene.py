@@ -16,7 +16,7 @@ from gesturekit.motion.body_model import INFLUENCES, Skin, steady_turns
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure, Limb
-from gesturekit.viewer.human import TOPS, palette_of
+from gesturekit.viewer.human import palette_of
 from gesturekit.viewer.raster import (
     SAMPLES,
     blur,
@@ -92,7 +92,7 @@ class Mannequin:
 
     def transforms(self, time: float) -> np.ndarray:
         """Return (N, 3, 4) float32 transforms from each part to the world at `time` seconds."""
-        points = points_at(self._figure, time)
+        points = _between(self._figure.points, time * self._figure.fps)
         start, end = points[self._ends[:, 0]], points[self._ends[:, 1]]
         along, real = _unit(end - start, (0.0, 1.0, 0.0))
         # Any axis will do around a round limb; a flat one lies along the line `across`.
@@ -118,18 +118,13 @@ class SkinnedBody:
         figure: the body's.
     """
 
-    def __init__(
-        self, drawn: DrawnBody, skin: Skin, top: tuple[int, int, int] | None = None
-    ) -> None:
-        """Prepare one of the skins of `drawn`; `top` is the colour of its clothes."""
+    def __init__(self, drawn: DrawnBody, skin: Skin, index: int = 0) -> None:
+        """Prepare one of the skins of `drawn`; clothes have another colour with each `index`."""
         self.figure, self._turns = drawn.figure, steady_turns(drawn.motion)
         self._rest = drawn.scale * skin.rest
-        palette = np.array([COLOURS[MIDDLE]])
-        if skin.palette is not None:
-            palette = skin.palette
-        elif skin.regions is not None:
-            palette = np.array(list(palette_of(top).values()))
-        regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
+        palette, regions = np.array([COLOURS[MIDDLE]]), np.zeros(len(skin.vertices), int)
+        if skin.regions is not None:
+            palette, regions = palette_of(skin, index), skin.regions
         self.mesh = Mesh(
             (drawn.scale * skin.vertices).astype(np.float32),
             skin.normals().astype(np.float32),
@@ -153,8 +148,9 @@ class SkinnedBody:
 
     def transforms(self, time: float) -> np.ndarray:
         """Return (J, 3, 4) float32 transforms from the rest pose to the world."""
-        points = points_at(self.figure, time)[: len(self._rest)]
-        turns = _between(self._turns, time * self.figure.fps)
+        frame = time * self.figure.fps
+        points = _between(self.figure.points, frame)[: len(self._rest)]
+        turns = _between(self._turns, frame)
         turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
         axes = np.broadcast_to(np.eye(3), (len(turns), 3, 3))
         turned = np.swapaxes(rotate_vectors(turns[:, None], axes), 1, 2)
@@ -197,12 +193,8 @@ def _lit(
     return vertices, colours
 
 
-def points_at(figure: Figure, time: float) -> np.ndarray:
-    """Return the figure's points (P, 3) at `time` seconds, interpolated between its frames."""
-    return _between(figure.points, time * figure.fps)
-
-
 def _between(values: np.ndarray, frame: float) -> np.ndarray:
+    """Interpolate values (T, ...) at a frame that need not be whole; beyond the ends they stay."""
     at = min(max(frame, 0.0), len(values) - 1.0)
     before = int(at)
     after = min(before + 1, len(values) - 1)
@@ -412,7 +404,7 @@ class Scene:
         self._body: Mannequin | SkinnedBody = Mannequin(figure)
         if drawn.skins:
             skin = drawn.skins[min(level, len(drawn.skins) - 1)]
-            self._body = SkinnedBody(drawn, skin, TOPS[index % len(TOPS)])
+            self._body = SkinnedBody(drawn, skin, index)
         self._camera = Camera(figure, aspect, framing)
         cos, sin = np.cos(figure.front), np.sin(figure.front)
         turned = np.array(
