@@ -21,7 +21,7 @@ import numpy as np
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedJoint, parse_bvh
-from gesturekit.formats.conventions import METRES, file_axes, guess_unit, with_y_up
+from gesturekit.formats.conventions import METRES, check_choice, file_axes, guess_unit, with_y_up
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import first_fork
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
@@ -65,8 +65,7 @@ def read_bvh(
             wrong `Frames:` and an end that was cut off are warnings; all complete frames are read.
     """
     path = Path(path)
-    if unit != "auto" and unit not in METRES:
-        raise FormatError(f"unit {unit!r}; expected auto, {', '.join(METRES)}")
+    check_choice("unit", unit, ("auto", *METRES))
     joints, frames, fps, mark, info = parse_bvh(path, fps)
     if mark is not None:
         unit = mark if unit == "auto" else unit
@@ -106,8 +105,7 @@ def write_bvh(
     Raises:
         FormatError: a unit or a joint name that the format cannot hold.
     """
-    if unit not in METRES:
-        raise FormatError(f"unit {unit!r}; expected {', '.join(METRES)}")
+    check_choice("unit", unit, METRES)
     for name in motion.skeleton.names:
         if set("{}") & set(name) or name != " ".join(name.split()):
             raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")

@@ -180,14 +180,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "step": step,
         "points": base64_text(packed(np.rint(relative / step))),
         "limbs": [
-            {
-                "ends": limb.ends,
-                "radii": [_short(radius) for radius in limb.radii],
-                "side": limb.side,
-                "across": limb.across,
-                "width": limb.width,
-                "length": _short(limb.length),
-            }
+            vars(limb) | {"radii": [*map(_short, limb.radii)], "length": _short(limb.length)}
             for limb in figure.limbs
         ],
         "head": head,
