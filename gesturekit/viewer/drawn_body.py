@@ -214,7 +214,10 @@ def load_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, tuple[Skin, ...]]
 @lru_cache(maxsize=2)
 def _loaded(path: Path, version: tuple[int, int]) -> tuple[Avatar, tuple[Skin, ...]]:
     avatar, mesh = read_avatar(path)
-    finest = simplified(welded(mesh, avatar.height), _FINEST, avatar.height)
+    assert mesh.regions is not None
+    # Vertices of one place and colour become one, so that no seam is seen.
+    welded = _clustered(mesh, _SAME * avatar.height, mesh.regions[:, None])
+    finest = simplified(welded, _FINEST, avatar.height)
     return avatar, (finest, simplified(finest, _COARSE, avatar.height))
 
 
@@ -223,12 +226,6 @@ _FIRST, _GROWTH = 1 / 800, 1.25
 _ROUNDS = 100
 _SAME = 1e-5
 """Distance of vertices at one place, by the body's height."""
-
-
-def welded(skin: Skin, height: float) -> Skin:
-    """Return the mesh with vertices of one place and colour made one, so that no seam is seen."""
-    assert skin.regions is not None
-    return _clustered(skin, _SAME * height, skin.regions[:, None])
 
 
 def simplified(skin: Skin, most: int, height: float) -> Skin:
