@@ -167,11 +167,7 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "hands": figure.hands,
         "contacts": None if contacts is None else base64_text(contacts.tobytes()),
         "beats": _times(speed_minima(figure.hand_speed, figure.fps)),
-        "speed": {
-            "of": figure.speed_of,
-            "peak": peak,
-            "values": _levels(figure.hand_speed / peak),
-        },
+        "speed": {"of": figure.speed_of, "peak": peak, "values": _levels(figure.hand_speed / peak)},
     }
 
 
