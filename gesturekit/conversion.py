@@ -96,16 +96,19 @@ def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> 
     suffix = out.suffix.lower()[1:]
     if out.is_dir():
         return False
-    if len(sources) == 1 and (not sources[0].is_dir() or is_sequence(sources[0])):
-        if suffix in WRITABLE:
-            return True
-        if suffix and not formats:
-            raise ConfigError(f"{out}: cannot write motion as .{suffix}; known: {_KNOWN}")
-    elif suffix in WRITABLE:
+    is_single = len(sources) == 1 and (not sources[0].is_dir() or is_sequence(sources[0]))
+    if is_single and suffix in WRITABLE:
+        return True
+    problem = ""
+    if suffix in WRITABLE:
         what = "a folder" if len(sources) == 1 else f"{len(sources)} inputs"
-        raise ConfigError(f"{out} is a file name, but {what} cannot become one file; name a folder")
-    if out.exists():
-        raise ConfigError(f"{out} is a file; give a folder to fill, or a name ending in {_KNOWN}")
+        problem = f" is a file name, but {what} cannot become one file; name a folder"
+    elif is_single and suffix and not formats:
+        problem = f": cannot write motion as .{suffix}; known: {_KNOWN}"
+    elif out.exists():
+        problem = f" is a file; give a folder to fill, or a name ending in {_KNOWN}"
+    if problem:
+        raise ConfigError(f"{out}{problem}")
     return False
 
 
