@@ -19,7 +19,7 @@ class PackageHook(BuildHookInterface):
     def dependencies(self) -> list[str]:
         """Ask for Node.js from PyPI only where a bundle is needed and no Node.js is found."""
         bundle = self._bundle_module()
-        return [] if bundle.is_current() or bundle.find_node() else [bundle.NODE_FROM_PYPI]
+        return [] if not bundle.outdated() or bundle.find_node() else [bundle.NODE_FROM_PYPI]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Bundle the scripts; an editable installation uses the recipes of the checkout."""

@@ -22,7 +22,7 @@ from gesturekit.motion import Motion
 from gesturekit.systems import bundled_speech
 from gesturekit.viewer.drawn_body import DrawnBody
 from gesturekit.viewer.human import TOPS
-from gesturekit.viewer.scene import Buffers, Scene
+from gesturekit.viewer.scene import Scene
 from gesturekit.viewer.video import write_caption
 
 WIDTH, HEIGHT, STRIP = 800, 340, 80
@@ -70,12 +70,12 @@ def frames() -> list[Image.Image]:
         Scene(DrawnBody.of(motion, "human"), panel / HEIGHT, index=k, framing="waist")
         for k, motion in enumerate(motions.values())
     ]
-    buffers, strip = Buffers(HEIGHT, panel), curves(motions, wave)
+    strip = curves(motions, wave)
     images = []
     for k in range(round(SECONDS * FPS)):
         bodies = np.empty((len(scenes), HEIGHT, panel, 3), np.uint8)
         for seed, scene, image in zip(SEEDS, scenes, bodies):
-            scene.draw(k / FPS, image, buffers)
+            scene.draw(k / FPS, image)
             write_caption(image, f"seed {seed}", (20, 14), 15)
         below = strip.copy()
         at = round(k / FPS / SECONDS * WIDTH)

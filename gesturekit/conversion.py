@@ -96,16 +96,19 @@ def is_file_name(out: Path, sources: Sequence[Path], formats: Sequence[str]) -> 
     suffix = out.suffix.lower()[1:]
     if out.is_dir():
         return False
-    if len(sources) == 1 and (not sources[0].is_dir() or is_sequence(sources[0])):
-        if suffix in WRITABLE:
-            return True
-        if suffix and not formats:
-            raise ConfigError(f"{out}: cannot write motion as .{suffix}; known: {_KNOWN}")
-    elif suffix in WRITABLE:
+    is_single = len(sources) == 1 and (not sources[0].is_dir() or is_sequence(sources[0]))
+    if is_single and suffix in WRITABLE:
+        return True
+    problem = ""
+    if suffix in WRITABLE:
         what = "a folder" if len(sources) == 1 else f"{len(sources)} inputs"
-        raise ConfigError(f"{out} is a file name, but {what} cannot become one file; name a folder")
-    if out.exists():
-        raise ConfigError(f"{out} is a file; give a folder to fill, or a name ending in {_KNOWN}")
+        problem = f" is a file name, but {what} cannot become one file; name a folder"
+    elif is_single and suffix and not formats:
+        problem = f": cannot write motion as .{suffix}; known: {_KNOWN}"
+    elif out.exists():
+        problem = f" is a file; give a folder to fill, or a name ending in {_KNOWN}"
+    if problem:
+        raise ConfigError(f"{out}{problem}")
     return False
 
 
@@ -383,17 +386,15 @@ class Conversion:
         self._face = None if self.face is None else Path(self.face)
         if self.body_model is None:
             self.formats = _without_mesh(self.formats, out)
-        self._is_one = is_file_name(out, self._sources, self.formats)
-        if self._is_one:
-            if self.execution.shard[1] > 1:
-                raise ConfigError(f"{out}: a file cannot be split into shards; give a folder")
-            self.tasks = self._find()
-            self._converter = Converter(self, out.parent, [out.suffix[1:]])
-            self._kept = _kept(out, self.existing)
-            return
-        self._converter = Converter(self, out, self.formats)
-        self._batch = Batch(self._converter, self._find(), self.execution)
-        self.tasks = self._batch.tasks
+        is_one = is_file_name(out, self._sources, self.formats)
+        if is_one and self.execution.shard[1] > 1:
+            raise ConfigError(f"{out}: a file cannot be split into shards; give a folder")
+        folder, kinds = (out.parent, [out.suffix[1:]]) if is_one else (out, self.formats)
+        self.tasks = self._find([kind.lower() for kind in kinds])
+        self._converter = Converter(self, folder, kinds)
+        self._batch = None if is_one else Batch(self._converter, self.tasks, self.execution)
+        self.tasks = self._batch.tasks if self._batch else self.tasks
+        self._kept = _kept(out, self.existing) if is_one else ()
 
     def run(self) -> Iterator[Result]:
         """Convert, and yield the result of each motion as soon as it is done.
@@ -411,18 +412,17 @@ class Conversion:
             yield result
 
     def _results(self) -> Iterator[Result]:
-        if not self._is_one and not self.dry_run:
+        if self._batch and not self.dry_run:
             yield from self._batch.run()
             return
         # Without a record.
         for task in self.tasks:
-            if self._is_one:
-                result = Result(task, "kept" if self._kept else "left", kept=self._kept)
-            else:
+            result = Result(task, "kept" if self._kept else "left", kept=self._kept)
+            if self._batch:
                 result = self._batch.known(task)
             yield self._converter(result) if result.status == "left" else result
 
-    def _find(self) -> list[Task]:
+    def _find(self, kinds: Sequence[str]) -> list[Task]:
         tasks = find_tasks(self._sources, self._out, self.formats)
         face = self._face
         if face is not None and not face.is_dir() and not (face.exists() and len(tasks) == 1):
@@ -430,9 +430,8 @@ class Conversion:
             need = "give the CSV of a single motion, or a folder with one for each"
             raise ConfigError(f"--face {face}: {why}; {need}")
         paths = [task.file for task in tasks if task.error is None]
-        formats = [self._out.suffix.lower()[1:]] if self._is_one else self.formats
-        formats = formats if paths else ()
-        refuse_unused_options(self.read, paths, self.write, formats, self.body_model)
+        kinds = kinds if paths else ()
+        refuse_unused_options(self.read, paths, self.write, kinds, self.body_model)
         return tasks
 
 

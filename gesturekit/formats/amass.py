@@ -60,11 +60,10 @@ def from_amass(archive: Archive, up: str) -> Motion:
     if poses.ndim == 3:  # some keep the joints apart: (T, J, 3)
         poses = poses.reshape(len(poses), -1)
     trans = archive.numbers("trans")
-    if poses.ndim != 2 or poses.shape[1] not in [3 * n for n in N_JOINTS]:
-        need = f"(frames, 3 x joints) with {', '.join(map(str, N_JOINTS))} joints"
-        raise FormatError(f"key 'poses' has shape {poses.shape}; expected {need}")
-    if trans.shape != (len(poses), 3):
-        raise FormatError(f"key 'trans' has shape {trans.shape}; expected ({len(poses)}, 3)")
+    is_right = poses.ndim == 2 and poses.shape[1] in [3 * n for n in N_JOINTS]
+    need = f"(frames, 3 x joints) with {', '.join(map(str, N_JOINTS))} joints"
+    check_shape("poses", poses, is_right, need)
+    check_shape("trans", trans, trans.shape == (len(poses), 3), f"({len(poses)}, 3)")
     n_joints = poses.shape[1] // 3
     rotations = quaternion_from_rotation_vector(poses.reshape(len(poses), n_joints, 3))
     rest = model_pelvis(n_joints)
@@ -139,9 +138,8 @@ def read_shape(archive: Archive, betas_key: str, pelvis: np.ndarray | None) -> B
     betas = archive.numbers(betas_key) if betas_key in archive else np.empty(0)
     if betas.ndim == 2:  # one row for each frame, although a body does not change
         betas = betas.mean(axis=0) if len(betas) else betas.ravel()
-    if betas.ndim != 1 or len(betas) > MAX_BETAS or not np.isfinite(betas).all():
-        need = f"up to {MAX_BETAS} finite coefficients"
-        raise FormatError(f"key {betas_key!r} has shape {betas.shape}; expected {need}")
+    is_right = betas.ndim == 1 and len(betas) <= MAX_BETAS and np.isfinite(betas).all()
+    check_shape(betas_key, betas, is_right, f"up to {MAX_BETAS} finite coefficients")
     gender = _text(archive, "gender").lower()
     if gender and gender not in GENDERS:
         text = f"gender {gender!r} is none of {', '.join(GENDERS)}; it is left out"
@@ -172,11 +170,16 @@ def read_face(archive: Archive, n_frames: int) -> FaceTrack | None:
     return FaceTrack(tuple(archive.texts("face_names", MAX_CHANNELS)), values)
 
 
+def check_shape(key: str, values: np.ndarray, is_right: bool | np.bool_, need: str) -> None:
+    """Raise FormatError for an array that is not right; `need` describes one that is."""
+    if not is_right:
+        raise FormatError(f"key {key!r} has shape {values.shape}; expected {need}")
+
+
 def read_number(archive: Archive, key: str) -> float:
     """Return the only number under a key."""
     value = archive.numbers(key)
-    if value.size != 1:
-        raise FormatError(f"key {key!r} has shape {value.shape}; expected one number")
+    check_shape(key, value, value.size == 1, "one number")
     return float(value.item())
 
 
@@ -217,9 +220,8 @@ def from_seamless(archive: Archive) -> Motion:
     for name, n_joints in _JOINTS.items():
         values = archive.numbers(f"smplh:{name}")
         n_frames = len(values)
-        if values.size != n_frames * n_joints * 3:
-            need = f"(frames, {n_joints}, 3)"
-            raise FormatError(f"key 'smplh:{name}' has shape {values.shape}; expected {need}")
+        is_right = values.size == n_frames * n_joints * 3
+        check_shape(f"smplh:{name}", values, is_right, f"(frames, {n_joints}, 3)")
         parts.append(values.reshape(n_frames, n_joints, 3))
     trans = archive.numbers("smplh:translation")
     if len({len(part) for part in parts}) > 1 or trans.shape != (len(parts[0]), 3):

@@ -20,8 +20,8 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedBvh, ParsedJoint, parse_bvh
-from gesturekit.formats.conventions import METRES, file_axes, guess_unit, with_y_up
+from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedJoint, parse_bvh
+from gesturekit.formats.conventions import METRES, check_choice, file_axes, guess_unit, with_y_up
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import first_fork
 from gesturekit.motion.rotations import euler_from_quaternion, quaternion_from_euler
@@ -65,22 +65,18 @@ def read_bvh(
             wrong `Frames:` and an end that was cut off are warnings; all complete frames are read.
     """
     path = Path(path)
-    if unit != "auto" and unit not in METRES:
-        raise FormatError(f"unit {unit!r}; expected auto, {', '.join(METRES)}")
-    parsed = parse_bvh(path, fps)
-    if parsed.unit is not None:
-        unit = parsed.unit if unit == "auto" else unit
+    check_choice("unit", unit, ("auto", *METRES))
+    joints, frames, fps, mark, info = parse_bvh(path, fps)
+    if mark is not None:
+        unit = mark if unit == "auto" else unit
         if up in ("auto", "y") and forward in ("auto", "z"):
             up, forward = "y", "z"
     try:
-        motion = _to_motion(parsed, unit)
+        motion = _to_motion(joints, frames, fps, unit)
         axes = file_axes(motion, up, forward)
-        motion.info.update(
-            source=str(path),
-            up=axes.up,
-            forward=axes.forward,
-            guessed=(*motion.info["guessed"], *axes.guessed),
-        )
+        guessed = (*motion.info["guessed"], *axes.guessed)
+        info |= {"source": str(path), "up": axes.up, "forward": axes.forward, "guessed": guessed}
+        motion.info.update(info)
         return with_y_up(motion, axes)
     except MotionError as error:
         raise FormatError(f"{path}: {error}") from None
@@ -109,8 +105,7 @@ def write_bvh(
     Raises:
         FormatError: a unit or a joint name that the format cannot hold.
     """
-    if unit not in METRES:
-        raise FormatError(f"unit {unit!r}; expected {', '.join(METRES)}")
+    check_choice("unit", unit, METRES)
     for name in motion.skeleton.names:
         if set("{}") & set(name) or name != " ".join(name.split()):
             raise FormatError(f"{path}: a BVH file cannot hold the joint name {name!r}")
@@ -133,15 +128,15 @@ def write_bvh(
 # Reading
 
 
-def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
-    """Return the motion in metres, with the file's axes."""
-    joints, n_frames = parsed.joints, len(parsed.frames)
+def _to_motion(joints: list[ParsedJoint], frames: np.ndarray, fps: float, unit: str) -> Motion:
+    """Return the motion in metres, with the file's axes; `frames` (T, C) are of `parse_bvh`."""
     offsets = np.array([joint.offset for joint in joints])
     columns: dict[tuple[int, str], int] = {}
     for j, joint in enumerate(joints):
         for name in joint.channels:
             columns[j, name] = len(columns)
-    rotations, places = _rotations(parsed, columns), _places(parsed, columns)
+    rotations = _rotations(joints, frames, columns)
+    places = _places(joints, frames, columns)
     skeleton = Skeleton(
         names=tuple(joint.name for joint in joints),
         parents=tuple(joint.parent for joint in joints),
@@ -158,7 +153,7 @@ def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
     metres = METRES[unit]
     translation = places.pop(0, None)
     if translation is None:
-        translation = np.tile(offsets[0], (n_frames, 1))
+        translation = np.tile(offsets[0], (len(frames), 1))
     moving = {}
     below_fork = skeleton.descendants(first_fork(skeleton))
     for j, values in places.items():
@@ -173,13 +168,10 @@ def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
         skeleton=replace(skeleton, offsets=offsets).scaled(metres),
         rotations=rotations,
         translation=translation * metres,
-        fps=parsed.fps,
+        fps=fps,
         joint_translations=moving,
     )
-    guessed = () if is_sure else ("unit",)
-    motion.info.update(unit=unit, guessed=guessed, frame_time=parsed.frame_time)
-    if parsed.renamed:
-        motion.info["renamed"] = parsed.renamed
+    motion.info.update(unit=unit, guessed=() if is_sure else ("unit",))
     return motion
 
 
@@ -189,9 +181,10 @@ def _order(joint: ParsedJoint) -> str:
     return next(order for order in ROTATION_ORDERS if order.startswith(turning))
 
 
-def _rotations(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> np.ndarray:
+def _rotations(
+    joints: list[ParsedJoint], frames: np.ndarray, columns: Mapping[tuple[int, str], int]
+) -> np.ndarray:
     """(T, J, 4) local quaternions; `columns` are those of frames by joint and channel."""
-    frames, joints = parsed.frames, parsed.joints
     rotations = np.empty((len(frames), len(joints), 4))
     in_order: dict[str, list[int]] = {}
     for j, joint in enumerate(joints):
@@ -208,14 +201,16 @@ def _rotations(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> np.
     return rotations
 
 
-def _places(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> dict[int, np.ndarray]:
+def _places(
+    joints: list[ParsedJoint], frames: np.ndarray, columns: Mapping[tuple[int, str], int]
+) -> dict[int, np.ndarray]:
     """Return joint to (T, 3) positions in its parent's frame, for joints with position channels."""
     places: dict[int, np.ndarray] = {}
     for (j, name), column in columns.items():
         if name[1] == "p":
             if j not in places:
-                places[j] = np.tile(np.array(parsed.joints[j].offset), (len(parsed.frames), 1))
-            places[j][:, "XYZ".index(name[0])] = parsed.frames[:, column]
+                places[j] = np.tile(np.array(joints[j].offset), (len(frames), 1))
+            places[j][:, "XYZ".index(name[0])] = frames[:, column]
     return places
 
 

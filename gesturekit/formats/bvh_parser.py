@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -96,25 +96,8 @@ class ParsedJoint:
     ends: list[tuple[float, float, float]] = field(default_factory=list)
 
 
-@dataclass
-class ParsedBvh:
-    """Content of a BVH file.
-
-    Attributes:
-        joints: parents before children.
-        frame_time: Frame Time as written.
-        fps: frames per second.
-        frames: (T, C) float64, one column per channel, in the file's units.
-        renamed: new name to name in the file, for names that had to be changed.
-        unit: unit of our mark, see `UNIT_MARKS`; None in files of other programs.
-    """
-
-    joints: list[ParsedJoint]
-    frame_time: str
-    fps: float
-    frames: np.ndarray
-    renamed: dict[str, str]
-    unit: str | None
+ParsedBvh = tuple[list[ParsedJoint], np.ndarray, float, str | None, dict[str, Any]]
+"""See `parse_bvh`."""
 
 
 def parse_bvh(path: Path, fps: float | None = None) -> ParsedBvh:
@@ -123,6 +106,12 @@ def parse_bvh(path: Path, fps: float | None = None) -> ParsedBvh:
     Args:
         path: the file.
         fps: frames per second in place of `Frame Time`, which may then be anything.
+
+    Returns:
+        The joints, parents before children; (T, C) float64, one column per channel, in the file's
+        units; frames per second; the unit of our mark (`UNIT_MARKS`), None in files of other
+        programs; and for `Motion.info`, `frame_time` (as written) and, if names had to be changed,
+        `renamed` (new name to name in the file).
 
     Raises:
         FormatError: missing, not a BVH file, or broken; the message names file and line.
@@ -159,12 +148,12 @@ def _parse(path: Path, encoding: str, fps: float | None) -> ParsedBvh:
                 renamed[name], joint.name = joint.name, name
         n_frames, frame_time, fps = _parse_timing(lines, fps)
         n_channels = sum(len(joint.channels) for joint in joints)
-        if not n_channels:
-            raise lines.error("no joint has CHANNELS: the file holds no motion")
+        lines.refuse(not n_channels, "no joint has CHANNELS: the file holds no motion")
         frames = parse_rows(lines, n_frames, n_channels)
     if lines.has_decimal_commas:
         warnings.warn(f"{path}: its decimal commas are read as points", stacklevel=2)
-    return ParsedBvh(joints, frame_time, fps, frames, renamed, unit)
+    info = {"frame_time": frame_time} | ({"renamed": renamed} if renamed else {})
+    return joints, frames, fps, unit, info
 
 
 def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
@@ -207,10 +196,8 @@ def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
             raise lines.error(f"{statement[:40]!r} is not a statement of a BVH hierarchy {where}")
     else:
         raise lines.error("the file stops before MOTION")
-    if open_blocks:
-        raise lines.error(f"MOTION while {len(open_blocks)} joints lack their }}")
-    if not blocks:
-        raise lines.error("no ROOT before MOTION")
+    lines.refuse(open_blocks, f"MOTION while {len(open_blocks)} joints lack their }}")
+    lines.refuse(not blocks, "no ROOT before MOTION")
     return blocks, unit
 
 
@@ -219,10 +206,8 @@ def _block(
 ) -> ParsedJoint:
     if keyword == "ROOT" and blocks:
         raise lines.error(f"a second ROOT, {rest[:40]!r}, after {blocks[0].name!r}: export one rig")
-    if keyword != "ROOT" and parent < 0:
-        raise lines.error(f"{keyword} {rest[:40]!r} has no parent joint")
-    if len(blocks) >= _MOST_JOINTS:
-        raise lines.error(f"over {_MOST_JOINTS} joints")
+    lines.refuse(keyword != "ROOT" and parent < 0, f"{keyword} {rest[:40]!r} has no parent joint")
+    lines.refuse(len(blocks) >= _MOST_JOINTS, f"over {_MOST_JOINTS} joints")
     if is_end := keyword.startswith("END"):
         rest = f"{blocks[parent].name}_End"
     return ParsedJoint(rest or f"joint{len(blocks)}", parent, is_end)
@@ -340,6 +325,11 @@ class Lines:
         self.has_decimal_commas |= count > 0
         return text
 
+    def refuse(self, is_wrong: object, message: str) -> None:
+        """Raise an error about the current line if something is wrong."""
+        if is_wrong:
+            raise self.error(message)
+
     def error(self, message: str, line: int | None = None) -> FormatError:
         """Return an error about the current line, or about line number `line`."""
         return FormatError(f"{self.path}:{line or self.number}: {message}")
@@ -376,8 +366,7 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
         lines.number += text.count("\n")
         if not read:
             break
-    if not n_rows:
-        raise lines.error(f"the file declares {n_frames} frames and holds none")
+    lines.refuse(not n_rows, f"the file declares {n_frames} frames and holds none")
     if n_rows != n_frames:
         held = f"; all {n_rows} that it holds are read"
         if n_rows < n_frames:

@@ -10,7 +10,7 @@ axis for that up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -67,10 +67,10 @@ class FileAxes:
     guessed: tuple[str, ...] = ()
 
 
-def check_up(up: str) -> None:
-    """Raise FormatError for an up axis that SMPL files do not have, and that is not "auto"."""
-    if up not in ("auto", *UP_TO_Y):
-        raise FormatError(f"up axis {up!r}; expected auto, {', '.join(UP_TO_Y)}")
+def check_choice(what: str, value: str, known: Collection[str]) -> None:
+    """Raise FormatError for a value that is not known; `what` names it."""
+    if value not in known:
+        raise FormatError(f"{what} {value!r}; expected {', '.join(known)}")
 
 
 def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAxes:
@@ -80,8 +80,7 @@ def file_axes(motion: Motion, up: str = "auto", forward: str = "auto") -> FileAx
         FormatError: an unknown axis, or `forward` along `up`.
     """
     for name, axis in (("up", up), ("forward", forward)):
-        if axis != "auto" and axis not in AXES:
-            raise FormatError(f"{name} axis {axis!r}; expected auto, {', '.join(AXES)}")
+        check_choice(f"{name} axis", axis, ("auto", *AXES))
     rest, standing = _evidence(motion) if "auto" in (up, forward) else (None, None)
     if forward != "auto":
         likely = (up,) if up != "auto" else (rest and rest[0], standing, "y", "z")

@@ -20,7 +20,7 @@ import numpy as np
 from audio_features.archive import parse_json, read_bytes
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import to_y_up
-from gesturekit.formats.conventions import check_up
+from gesturekit.formats.conventions import UP_TO_Y, check_choice
 from gesturekit.formats.registry import json_in_words
 from gesturekit.formats.smpl import fit_body, model_pelvis, smpl_skeleton
 from gesturekit.motion.body_model import BodyModel
@@ -87,7 +87,7 @@ def read_easymocap(
         FormatError: no such folder, a broken file, no person of that id, or too long a gap.
     """
     path = Path(path)
-    check_up(up)
+    check_choice("up axis", up, ("auto", *UP_TO_Y))
     frames = {number: _people(file) for number, file in _files(path).items()}
     seen = Counter(name for people in frames.values() for name in people)
     if not seen:

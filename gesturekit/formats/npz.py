@@ -32,6 +32,7 @@ from audio_features.archive import Archive, open_archive
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
 from gesturekit.formats.amass import (
+    check_shape,
     from_amass,
     from_seamless,
     read_face,
@@ -39,7 +40,7 @@ from gesturekit.formats.amass import (
     read_shape,
     to_amass,
 )
-from gesturekit.formats.conventions import UP_TO_Y, check_up
+from gesturekit.formats.conventions import UP_TO_Y, check_choice
 from gesturekit.formats.smpl import RIGS, as_smpl, fit_body, is_smpl
 from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.face import FaceTrack, is_smplx
@@ -76,7 +77,7 @@ def read_npz(
         FormatError: missing, damaged, of a newer format, or without the keys of a motion.
     """
     path = Path(path)
-    check_up(up)
+    check_choice("up axis", up, ("auto", *UP_TO_Y))
     with open_archive(path, FormatError) as archive:
         try:
             if "v_template" in archive and "poses" not in archive:
@@ -129,11 +130,9 @@ def write_npz(
         FormatError: an unknown rig or axis.
         MotionError: a rig that cannot be retargeted to the requested one.
     """
-    if up not in ("y", "z"):
-        raise FormatError(f"up axis {up!r}; expected y or z")
-    if rig is not None and rig not in RIGS:
-        raise FormatError(f"rig {rig!r}; expected {', '.join(RIGS)}")
+    check_choice("up axis", up, ("y", "z"))
     if rig is not None:
+        check_choice("rig", rig, RIGS)
         motion = as_smpl(motion, RIGS[rig])
     if fps is not None and fps != motion.fps:
         motion = motion.resample(fps)
@@ -212,8 +211,9 @@ def _from_native(archive: Archive) -> Motion:
         by_hand = archive.texts("parts_by_hand", _MAX_JOINTS)
         parts = {part: name for name, part in by_joint("part_joints", "parts_by_hand", by_hand)}
     pelvis = archive.numbers("body_pelvis") if "body_pelvis" in archive else None
-    if pelvis is not None and (pelvis.shape != (3,) or not np.isfinite(pelvis).all()):
-        raise FormatError(f"key 'body_pelvis' has shape {pelvis.shape}; expected three numbers")
+    if pelvis is not None:
+        is_right = pelvis.shape == (3,) and np.isfinite(pelvis).all()
+        check_shape("body_pelvis", pelvis, is_right, "three numbers")
     skeleton = Skeleton(
         names=names,
         parents=tuple(_indices(archive, "parents", -1, len(names))),

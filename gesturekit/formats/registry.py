@@ -20,9 +20,11 @@ from gesturekit.wording import listed
 FOLDER = "EasyMocap"
 """Stands for a suffix where a folder is one motion."""
 
-_CURVES = {"animation", "unit", "up", "forward", "fps"}
+_AXES = {"unit", "up", "forward", "fps"}
+_CURVES = {"animation", *_AXES}
 _BODY = {"body", "body_model"}
-_SEQUENCE = {"up", "fps", "person", "body_model"}
+_SMPL = {"up", "body_model"}
+_SEQUENCE = {"fps", "person", *_SMPL}
 _GLTF, _EASYMOCAP = "formats.gltf.reading:read_gltf", "formats.easymocap:read_easymocap"
 _PICTURE = "viewer:write_picture"
 
@@ -47,22 +49,8 @@ class Format:
 
 
 FORMATS = (
-    Format(
-        ".bvh",
-        "formats.bvh:read_bvh",
-        "formats.bvh:write_bvh",
-        {"unit", "up", "forward", "fps"},
-        {"unit"},
-        searched=True,
-    ),
-    Format(
-        ".npz",
-        "formats.npz:read_npz",
-        "formats.npz:write_npz",
-        {"up", "body_model"},
-        {"up"},
-        searched=True,
-    ),
+    Format(".bvh", "formats.bvh:read_bvh", "formats.bvh:write_bvh", _AXES, {"unit"}, searched=True),
+    Format(".npz", "formats.npz:read_npz", "formats.npz:write_npz", _SMPL, {"up"}, searched=True),
     Format(".glb", _GLTF, "viewer:write_glb", _CURVES, _BODY, searched=True),
     Format(".gltf", _GLTF, None, _CURVES, searched=True),
     Format(".vrm", _GLTF, None, _CURVES),  # an avatar, which has no motion: a rig

@@ -82,14 +82,14 @@ def _names(where: str, row: list[str], columns: Sequence[str], optional: Sequenc
     names = [cell.strip().lower() for cell in row]
     known = [*columns, *optional]
     expected = "expected " + ",".join([*columns, *(f"[{name}]" for name in optional)])
-    for name in names:
-        if name not in known:
-            hint = did_you_mean(name, known, "did you mean {}? ")
-            raise FormatError(f"{where}: column {name[:40]!r}; {hint}{expected}")
-        if names.count(name) > 1:
-            raise FormatError(f"{where}: two columns {name!r}; {expected}")
+    unknown = [name for name in names if name not in known]
+    problems = [f"column {name[:40]!r}" for name in unknown]
+    problems += [f"two columns {name!r}" for name in known if names.count(name) > 1]
     if missing := [name for name in columns if name not in names]:
-        raise FormatError(f"{where}: no column {', '.join(missing)}; {expected}")
+        problems.append(f"no column {', '.join(missing)}")
+    if problems:
+        hint = did_you_mean(unknown[0], known, "did you mean {}? ") if unknown else ""
+        raise FormatError(f"{where}: {problems[0]}; {hint}{expected}")
     return names
 
 

@@ -167,7 +167,8 @@ def _joints(drawn: DrawnBody) -> dict[str, Any]:
     parents, offsets = list(skeleton.parents), skeleton.offsets.tolist()
     owners = {limb.ends[1]: limb.ends[0] for limb in figure.limbs}
     if figure.head is not None:
-        owners |= {figure.head.up: figure.head.base, figure.head.face: figure.head.base}
+        base, top, face = figure.head
+        owners |= {top: base, face: base}
     places, turns = figure.points[0], drawn.motion.global_rotations()[0]
     for point in range(skeleton.n_joints, len(places)):
         owner = owners.get(point, 0)

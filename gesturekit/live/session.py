@@ -30,7 +30,7 @@ from gesturekit.live.sources import (
 from gesturekit.model import MotionStream
 from gesturekit.motion import Motion
 from gesturekit.motion.face import FaceTrack
-from gesturekit.viewer.human import Fitting, Human
+from gesturekit.viewer.human import Fitting, load_human
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
@@ -378,7 +378,7 @@ class Session:
             host, _, port = (place or f"127.0.0.1:{PORT}").rpartition(":")
             if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
                 raise ConfigError(f"--to {sink}: expected vmc:HOST:PORT, as vmc:127.0.0.1:39539")
-            return VmcSender(host.strip("[]"), int(port), Fitting(Human.load(), example()))
+            return VmcSender(host.strip("[]"), int(port), Fitting(load_human()[0], example()))
         if kind != "record" or not place:
             raise ConfigError(f"--to {sink}: no such sink; expected {SINKS}")
         return Recording(Path(place), source.rate if source.is_live else None)

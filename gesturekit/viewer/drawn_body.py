@@ -22,7 +22,7 @@ from gesturekit.formats.smpl import fit_body
 from gesturekit.motion.body_model import BodyModel, Skin, unique_rows
 from gesturekit.motion.face import FaceTrack, values_of
 from gesturekit.viewer.figure import Figure
-from gesturekit.viewer.human import COLOURS, Fitting, Human
+from gesturekit.viewer.human import COLOURS, Fitting, load_human
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -88,12 +88,12 @@ class DrawnBody:
             skin = Skin.of(model, motion.skeleton.body_shape.betas)
             return cls(motion, Figure.of(motion), (skin,))
         if body not in (None, "mannequin", "skeleton"):
-            avatar = None if body == "human" else load_avatar(body)[0]
+            avatar = None if body == "human" else load_avatar(body)
             try:
-                human = avatar or Human.load()
-                fitting = Fitting(human, motion)
+                rig, skins = (avatar[0].skeleton, avatar[1]) if avatar else load_human()
+                fitting = Fitting(rig, motion)
                 moved = fitting.on_body(motion)
-                return cls(moved, Figure.of(moved), human.skins, fitting.scale, fitting)
+                return cls(moved, Figure.of(moved), skins, fitting.scale, fitting)
             except GestureKitError as error:
                 warnings.warn(f"the mannequin is drawn instead of {body}: {error}", stacklevel=2)
         return cls(motion, Figure.of(motion, plain=body == "skeleton"))
@@ -147,7 +147,7 @@ def write_glb(
     path = Path(path)
     drawn = DrawnBody.of(motion, body, body_model)
     if drawn.skins and body is not None and body.lower().endswith(AVATARS):
-        content = animated_avatar(load_avatar(body)[1], drawn.motion, path.stem, drawn.scale)
+        content = animated_avatar(load_avatar(body)[0], drawn.motion, path.stem, drawn.scale)
     else:
         skin = drawn.skins[0] if drawn.skins else None
         has_regions = skin is not None and skin.regions is not None
@@ -168,7 +168,7 @@ def write_vrma(motion: Motion, path: str | os.PathLike[str]) -> None:
     Raises:
         MotionError: body parts of the motion's rig cannot be found.
     """
-    moved = Fitting(Human.load(), motion).in_t_pose(motion)
+    moved = Fitting(load_human()[0], motion).in_t_pose(motion)
     with atomic_write(path) as temporary:
         temporary.write_bytes(vrm_animation(moved, Path(path).stem))
 
@@ -193,8 +193,8 @@ _FINEST, _COARSE = 65_535, 5_000
 """Most vertices of the mesh in pages and videos, and of the one for slow machines."""
 
 
-def load_avatar(path: str | os.PathLike[str]) -> tuple[Human, Avatar]:
-    """Read an avatar, as a body with a fine and a coarse skin; the last ones are cached.
+def load_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, tuple[Skin, ...]]:
+    """Read an avatar, with a fine and a coarse skin; the last ones are cached.
 
     Warns:
         UserWarning: a texture that cannot be read.
@@ -212,11 +212,13 @@ def load_avatar(path: str | os.PathLike[str]) -> tuple[Human, Avatar]:
 
 
 @lru_cache(maxsize=2)
-def _loaded(path: Path, version: tuple[int, int]) -> tuple[Human, Avatar]:
+def _loaded(path: Path, version: tuple[int, int]) -> tuple[Avatar, tuple[Skin, ...]]:
     avatar, mesh = read_avatar(path)
-    height = avatar.height
-    finest = simplified(welded(mesh, height), _FINEST, height)
-    return Human(avatar.skeleton, (finest, simplified(finest, _COARSE, height))), avatar
+    assert mesh.regions is not None
+    # Vertices of one place and colour become one, so that no seam is seen.
+    welded = _clustered(mesh, _SAME * avatar.height, mesh.regions[:, None])
+    finest = simplified(welded, _FINEST, avatar.height)
+    return avatar, (finest, simplified(finest, _COARSE, avatar.height))
 
 
 _FIRST, _GROWTH = 1 / 800, 1.25
@@ -224,12 +226,6 @@ _FIRST, _GROWTH = 1 / 800, 1.25
 _ROUNDS = 100
 _SAME = 1e-5
 """Distance of vertices at one place, by the body's height."""
-
-
-def welded(skin: Skin, height: float) -> Skin:
-    """Return the mesh with vertices of one place and colour made one, so that no seam is seen."""
-    assert skin.regions is not None
-    return _clustered(skin, _SAME * height, skin.regions[:, None])
 
 
 def simplified(skin: Skin, most: int, height: float) -> Skin:

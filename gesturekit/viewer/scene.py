@@ -5,7 +5,9 @@ Stills show a skinned body from the front, without perspective, on nothing.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -13,8 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 from gesturekit.motion.body_model import INFLUENCES, Skin, steady_turns
 from gesturekit.motion.rotations import rotate_vectors
 from gesturekit.viewer.drawn_body import DrawnBody
-from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure, Head, Limb
-from gesturekit.viewer.human import TOPS, palette_of
+from gesturekit.viewer.figure import LEFT, MIDDLE, RIGHT, Figure, Limb
+from gesturekit.viewer.human import palette_of
 from gesturekit.viewer.raster import (
     SAMPLES,
     blur,
@@ -83,14 +85,14 @@ class Mannequin:
         pieces = [_limb(limb, figure.height) for limb in limbs]
         owners = list(range(len(pieces)))
         if figure.head:
-            balls = [_ball(*ball, figure.head.size) for ball in _BALLS]
+            balls = [_ball(*ball, figure.head_size) for ball in _BALLS]
             owners += [len(limbs)] * len(balls)
             pieces += balls
         self.mesh = _joined(pieces, owners)
 
     def transforms(self, time: float) -> np.ndarray:
         """Return (N, 3, 4) float32 transforms from each part to the world at `time` seconds."""
-        points = points_at(self._figure, time)
+        points = _between(self._figure.points, time * self._figure.fps)
         start, end = points[self._ends[:, 0]], points[self._ends[:, 1]]
         along, real = _unit(end - start, (0.0, 1.0, 0.0))
         # Any axis will do around a round limb; a flat one lies along the line `across`.
@@ -113,20 +115,16 @@ class SkinnedBody:
 
     Attributes:
         mesh: part k is joint k.
+        figure: the body's.
     """
 
-    def __init__(
-        self, drawn: DrawnBody, skin: Skin, top: tuple[int, int, int] | None = None
-    ) -> None:
-        """Prepare one of the skins of `drawn`; `top` is the colour of its clothes."""
-        self._figure, self._turns = drawn.figure, steady_turns(drawn.motion)
+    def __init__(self, drawn: DrawnBody, skin: Skin, index: int = 0) -> None:
+        """Prepare one of the skins of `drawn`; clothes have another colour with each `index`."""
+        self.figure, self._turns = drawn.figure, steady_turns(drawn.motion)
         self._rest = drawn.scale * skin.rest
-        palette = np.array([COLOURS[MIDDLE]])
-        if skin.palette is not None:
-            palette = skin.palette
-        elif skin.regions is not None:
-            palette = np.array(list(palette_of(top).values()))
-        regions = np.zeros(len(skin.vertices), int) if skin.regions is None else skin.regions
+        palette, regions = np.array([COLOURS[MIDDLE]]), np.zeros(len(skin.vertices), int)
+        if skin.regions is not None:
+            palette, regions = palette_of(skin, index), skin.regions
         self.mesh = Mesh(
             (drawn.scale * skin.vertices).astype(np.float32),
             skin.normals().astype(np.float32),
@@ -143,15 +141,16 @@ class SkinnedBody:
             return self.mesh
         values, moved, moves = self._face
         vertices, normals = self.mesh.vertices.copy(), self.mesh.normals.copy()
-        now = _between(values, time * self._figure.fps).astype(np.float32)
+        now = _between(values, time * self.figure.fps).astype(np.float32)
         for of_mesh, each in zip((vertices, normals), np.tensordot(now, moves, axes=1)):
             of_mesh[moved] += each
         return replace(self.mesh, vertices=vertices, normals=normals)
 
     def transforms(self, time: float) -> np.ndarray:
         """Return (J, 3, 4) float32 transforms from the rest pose to the world."""
-        points = points_at(self._figure, time)[: len(self._rest)]
-        turns = _between(self._turns, time * self._figure.fps)
+        frame = time * self.figure.fps
+        points = _between(self.figure.points, frame)[: len(self._rest)]
+        turns = _between(self._turns, frame)
         turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
         axes = np.broadcast_to(np.eye(3), (len(turns), 3, 3))
         turned = np.swapaxes(rotate_vectors(turns[:, None], axes), 1, 2)
@@ -194,12 +193,8 @@ def _lit(
     return vertices, colours
 
 
-def points_at(figure: Figure, time: float) -> np.ndarray:
-    """Return the figure's points (P, 3) at `time` seconds, interpolated between its frames."""
-    return _between(figure.points, time * figure.fps)
-
-
 def _between(values: np.ndarray, frame: float) -> np.ndarray:
+    """Interpolate values (T, ...) at a frame that need not be whole; beyond the ends they stay."""
     at = min(max(frame, 0.0), len(values) - 1.0)
     before = int(at)
     after = min(before + 1, len(values) - 1)
@@ -213,10 +208,10 @@ def _unit(vectors: np.ndarray, otherwise: tuple[float, ...]) -> tuple[np.ndarray
     return np.where(lengths[:, None] > 1e-9, unit, otherwise), lengths
 
 
-def _head_transform(points: np.ndarray, head: Head) -> np.ndarray:
-    base = points[head.base]
-    up, _ = _unit((points[head.up] - base)[None], (0.0, 1.0, 0.0))
-    forward = (points[head.face] - base)[None]
+def _head_transform(points: np.ndarray, head: tuple[int, int, int]) -> np.ndarray:
+    base, top, face = points[list(head)]
+    up, _ = _unit((top - base)[None], (0.0, 1.0, 0.0))
+    forward = (face - base)[None]
     forward, _ = _unit(forward - (forward * up).sum() * up, (0.0, 0.0, 1.0))
     return np.stack([np.cross(up, forward)[0], up[0], forward[0], base], axis=-1)
 
@@ -313,7 +308,7 @@ class Camera:
         """Fit the view; `aspect` is its width by its height, `framing` one of FRAMINGS."""
         points, lowest = figure.points, figure.floor + figure.below(framing)
         if framing == "face" and figure.head:  # hands may leave the view
-            points = points[:, [figure.head.base, figure.head.up, figure.head.face]]
+            points = points[:, list(figure.head)]
         middle = np.median(points, axis=1)  # a joint that is left behind does not count
         self._path = gaussian_filter1d(middle, _CALM * figure.fps, axis=0, mode="nearest")
         self._fps, self.floor = figure.fps, figure.floor
@@ -372,23 +367,20 @@ _GROUND = 5.0
 """Radius of the floor in body heights."""
 
 
-class Buffers:
-    """Memory for drawing one frame of a panel; threads do not share it."""
+_OF_THREAD = threading.local()
 
-    def __init__(self, height: int, width: int) -> None:
-        fine = (SAMPLES * height, SAMPLES * width)
-        coarse = (-(-height // 2), -(-width // 2))
-        self.depths, self.samples = np.zeros(fine, np.float32), np.empty((*fine, 3), np.float32)
-        self.shadow, self.scratch = np.zeros(coarse, np.float32), np.empty(coarse, np.float32)
-        self.scratch_colours = np.empty((*coarse, 3), np.float32)
+
+def _buffers(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the thread's own memory for a mesh: depths (H, W), all 0 between uses, and colours."""
+    size = height, width
+    held: dict[Any, tuple[np.ndarray, np.ndarray]] = vars(_OF_THREAD)
+    if size not in held:
+        held[size] = np.zeros(size, np.float32), np.empty((*size, 3), np.float32)
+    return held[size]
 
 
 class Scene:
-    """A figure, its camera and its light.
-
-    Attributes:
-        duration: seconds of its motion.
-    """
+    """A figure, its camera and its light."""
 
     def __init__(
         self,
@@ -408,12 +400,11 @@ class Scene:
             framing: one of FRAMINGS of `gesturekit.viewer.figure`.
         """
         figure = drawn.figure
-        self.duration = drawn.motion.duration
         self._figure = figure
         self._body: Mannequin | SkinnedBody = Mannequin(figure)
         if drawn.skins:
             skin = drawn.skins[min(level, len(drawn.skins) - 1)]
-            self._body = SkinnedBody(drawn, skin, TOPS[index % len(TOPS)])
+            self._body = SkinnedBody(drawn, skin, index)
         self._camera = Camera(figure, aspect, framing)
         cos, sin = np.cos(figure.front), np.sin(figure.front)
         turned = np.array(
@@ -421,33 +412,34 @@ class Scene:
         )
         self._sun = turned / np.linalg.norm(turned)
 
-    def draw(self, time: float, image: np.ndarray, buffers: Buffers) -> None:
+    def draw(self, time: float, image: np.ndarray) -> None:
         """Draw the moment `time`, in seconds, into an image (H, W, 3) uint8."""
         height, width = image.shape[:2]
         mesh, camera = self._body.mesh, self._camera.at(time)
         focal = Camera.focal(height)
         vertices, colours = _lit(self._body, time, self._sun, camera)
         corners = np.empty_like(vertices)
-        self._draw_floor(time, image, (camera, vertices), buffers)
+        self._draw_floor(time, image, camera, vertices)
         project(vertices, camera, *(SAMPLES * n for n in (focal, width, height)), corners)
-        box = fill(corners, colours, mesh.faces, buffers.depths, buffers.samples)
+        depths, samples = _buffers(SAMPLES * height, SAMPLES * width)
+        box = fill(corners, colours, mesh.faces, depths, samples)
         if box[0] < box[1]:
-            resolve(buffers.depths, buffers.samples, box, image)
+            resolve(depths, samples, box, image)
 
     def _draw_floor(
-        self, time: float, image: np.ndarray, seen: tuple[np.ndarray, np.ndarray], buffers: Buffers
+        self, time: float, image: np.ndarray, camera: np.ndarray, vertices: np.ndarray
     ) -> None:
         """Draw the floor, and the shadow of the vertices, as seen by a camera."""
-        (camera, vertices), faces = seen, self._body.mesh.faces
         height, width = image.shape[:2]
         focal, floor = Camera.focal(height), self._camera.floor
         fallen, corners = np.empty_like(vertices), np.empty_like(vertices)
         cast(vertices, self._sun, floor, fallen)
         project(fallen, camera, focal / 2, width / 2, height / 2, corners)
-        shadow = buffers.shadow
-        box = fill(corners, fallen, faces, shadow, buffers.scratch_colours)
+        shadow, scratch = _buffers(-(-height // 2), -(-width // 2))
+        box = fill(corners, fallen, self._body.mesh.faces, shadow, scratch)
         if box[0] < box[1]:
-            blur(shadow, box, max(1, round(_SOFTNESS * height / 2)), buffers.scratch)
+            radius = max(1, round(_SOFTNESS * height / 2))
+            blur(shadow, box, radius, scratch.reshape(3, *shadow.shape)[0])
         body = self._figure.height
         metre = 10.0 ** round(np.log10(body / 1.7))
         x, _, z = self._camera.middle(time)
@@ -463,47 +455,39 @@ _LIGHT = np.array([0.34, 0.87, 0.34])
 """Direction to the light: x to the viewer's right, y up, z towards the viewer."""
 
 
-class Stills:
-    """Pictures of one motion."""
+def still(body: SkinnedBody, frame: int, n_pixels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the body's picture at a frame, drawn with (n_pixels, n_pixels), and its place.
 
-    def __init__(self, drawn: DrawnBody, n_pixels: int, index: int = 0) -> None:
-        """Prepare pictures of up to (n_pixels, n_pixels); `index` chooses the clothes' colour."""
-        self._body = SkinnedBody(drawn, drawn.skins[0], TOPS[index % len(TOPS)])
-        self._figure, self._size = drawn.figure, n_pixels
-
-    def at(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the body's picture at a frame, and its place.
-
-        Returns:
-            RGBA (H, W, 4) from 0 to 1, cut to the body; left, right, bottom and top (4,), metres
-            from the root's place on the floor.
-        """
-        mesh, figure, n = self._body.mesh, self._figure, SAMPLES * self._size
-        cos, sin = np.cos(figure.front), np.sin(figure.front)
-        camera = np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos], [0, 0, 0]], float)
-        root = figure.points[frame, 0]
-        middle = np.array([root[0], figure.floor, root[2]])
-        # Skin reaches beyond the points, as the crown of the head does.
-        farthest = np.linalg.norm(figure.points[frame] - middle, axis=-1).max()
-        reach = max(1.1 * figure.height, farthest + 0.1 * figure.height)
-        far = _AWAY * figure.height
-        camera[3] = middle + far * camera[2]
-        sun = (_LIGHT @ camera[:3]).astype(np.float32)
-        vertices, colours = _lit(self._body, frame / figure.fps, sun, camera)
-        corners = np.empty_like(vertices)
-        project(vertices, camera, 0.5 * n * far / reach, n, n, corners)
-        depths, samples = np.zeros((n, n), np.float32), np.zeros((n, n, 3), np.float32)
-        fill(corners, colours, mesh.faces, depths, samples)
-        seen = (depths > 0)[..., None]
-        blocks = np.concatenate([samples * seen / 255, seen], axis=-1)
-        blocks = blocks.reshape(self._size, SAMPLES, self._size, SAMPLES, 4)
-        image = blocks.mean(axis=(1, 3))
-        image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
-        body = image[..., 3] > 0
-        if not body.any():  # smaller than a sample
-            body[:] = True
-        rows, columns = (np.flatnonzero(body.any(axis=axis)) for axis in (1, 0))
-        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-        edges = np.array([left, right, self._size - bottom, self._size - top])
-        extent = reach * (2 * edges / self._size - 1)
-        return np.clip(image[top:bottom, left:right], 0, 1), extent
+    Returns:
+        RGBA (H, W, 4) from 0 to 1, cut to the body; left, right, bottom and top (4,), metres
+        from the root's place on the floor.
+    """
+    mesh, figure, n = body.mesh, body.figure, SAMPLES * n_pixels
+    cos, sin = np.cos(figure.front), np.sin(figure.front)
+    camera = np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos], [0, 0, 0]], float)
+    root = figure.points[frame, 0]
+    middle = np.array([root[0], figure.floor, root[2]])
+    # Skin reaches beyond the points, as the crown of the head does.
+    farthest = np.linalg.norm(figure.points[frame] - middle, axis=-1).max()
+    reach = max(1.1 * figure.height, farthest + 0.1 * figure.height)
+    far = _AWAY * figure.height
+    camera[3] = middle + far * camera[2]
+    sun = (_LIGHT @ camera[:3]).astype(np.float32)
+    vertices, colours = _lit(body, frame / figure.fps, sun, camera)
+    corners = np.empty_like(vertices)
+    project(vertices, camera, 0.5 * n * far / reach, n, n, corners)
+    depths, samples = np.zeros((n, n), np.float32), np.zeros((n, n, 3), np.float32)
+    fill(corners, colours, mesh.faces, depths, samples)
+    seen = (depths > 0)[..., None]
+    blocks = np.concatenate([samples * seen / 255, seen], axis=-1)
+    blocks = blocks.reshape(n_pixels, SAMPLES, n_pixels, SAMPLES, 4)
+    image = blocks.mean(axis=(1, 3))
+    image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
+    covered = image[..., 3] > 0
+    if not covered.any():  # smaller than a sample
+        covered[:] = True
+    rows, columns = (np.flatnonzero(covered.any(axis=axis)) for axis in (1, 0))
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    edges = np.array([left, right, n_pixels - bottom, n_pixels - top])
+    extent = reach * (2 * edges / n_pixels - 1)
+    return np.clip(image[top:bottom, left:right], 0, 1), extent

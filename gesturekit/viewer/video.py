@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +24,7 @@ from gesturekit.motion.body_model import BodyModel
 from gesturekit.motion.resampling import checked_fps
 from gesturekit.viewer.drawn_body import DrawnBody, drawn_bodies
 from gesturekit.viewer.page_data import Playable, as_wave
-from gesturekit.viewer.scene import Buffers, Scene
+from gesturekit.viewer.scene import Scene
 
 if TYPE_CHECKING:
     from gesturekit.motion import Motion
@@ -197,92 +196,68 @@ def write_video(
     drawn = drawn_bodies(motions, body, body_model)
     usual = min(_USUAL_RATE, max(each.motion.fps for each in drawn.values()))
     fps = usual if fps is None else checked_fps(fps)
-    picture = _Picture(drawn, SIZES[size], framing)
-    seconds = max(picture.duration, wave.duration if wave else 0.0)
-    n_frames = max(1, int(seconds * fps + 0.5))
+    panels = _panels(drawn, SIZES[size], framing)
+    seconds = max(each.motion.duration for each in drawn.values())
+    seconds = max(seconds, wave.duration if wave else 0.0)
+    times = np.arange(max(1, int(seconds * fps + 0.5))) / fps
+    frames = (partial(_picture, panels, SIZES[size], time) for time in times.tolist())
     with atomic_write(path) as temporary:
-        encode(_frames(picture, n_frames, fps), temporary, picture.size, fps, wave)
+        encode(_drawn_ahead(frames), temporary, SIZES[size], fps, wave)
 
 
-@dataclass(frozen=True)
-class _Panel:
-    label: str
-    scene: Scene
-    area: tuple[slice, slice]
+_Panel = tuple[str, Scene, tuple[slice, slice]]
+"""Label, figure, and the rows and columns of the picture that show it."""
 
 
-class _Picture:
-    """All panels of the video, and captions.
-
-    Attributes:
-        size: (W, H) in pixels.
-        duration: of the longest motion, seconds.
-    """
-
-    def __init__(self, shown: Mapping[str, DrawnBody], size: tuple[int, int], framing: str) -> None:
-        self.size = size
-        n_columns = min(len(shown), 3 if len(shown) != 4 else 2)
-        n_rows = -(-len(shown) // n_columns)
-        level = int(np.searchsorted(_LEVELS, n_columns * n_rows, side="right"))
-        columns, rows = (
-            np.linspace(0, whole, n + 1).astype(int)
-            for whole, n in zip(size, (n_columns, n_rows), strict=True)
-        )
-        self._panels = []
-        for k, (label, drawn) in enumerate(shown.items()):
-            row, column = divmod(k, n_columns)
-            area = (slice(rows[row], rows[row + 1]), slice(columns[column], columns[column + 1]))
-            aspect = (area[1].stop - area[1].start) / (area[0].stop - area[0].start)
-            self._panels.append(_Panel(label, Scene(drawn, aspect, level, k, framing), area))
-        self.duration = max(panel.scene.duration for panel in self._panels)
-        # An empty panel is like the background.
-        self._blank = np.full((size[1], size[0], 3), 245, np.uint8)
-        shapes = {self._blank[panel.area].shape[:2] for panel in self._panels}
-        self._shapes = sorted(shapes)
-
-    def buffers(self) -> dict[tuple[int, ...], Buffers]:
-        """Return memory for one thread, by the panels' shapes."""
-        return {shape: Buffers(*shape) for shape in self._shapes}
-
-    def draw(self, time: float, buffers: dict[tuple[int, ...], Buffers]) -> np.ndarray:
-        """Return the picture (H, W, 3) uint8 at `time` seconds."""
-        picture = self._blank.copy()
-        letters = _TEXT * self.size[1]
-        for panel in self._panels:
-            image = np.empty_like(picture[panel.area])
-            panel.scene.draw(time, image, buffers[image.shape[:2]])
-            write_caption(image, panel.label, (1.3 * letters, letters), letters)
-            if panel.area[1].start:
-                image[:, 0] = 205
-            if panel.area[0].start:
-                image[0] = 205
-            picture[panel.area] = image
-        clock = f"{int(time // 60)}:{time % 60:04.1f}"
-        write_caption(picture, clock, (self.size[1] - 1.3 * letters, -letters), letters)
-        return picture
+def _panels(shown: Mapping[str, DrawnBody], size: tuple[int, int], framing: str) -> list[_Panel]:
+    """Return the panels of a picture of this width and height, row by row."""
+    n_columns = min(len(shown), 3 if len(shown) != 4 else 2)
+    n_rows = -(-len(shown) // n_columns)
+    level = int(np.searchsorted(_LEVELS, n_columns * n_rows, side="right"))
+    columns, rows = (
+        np.linspace(0, whole, n + 1).astype(int)
+        for whole, n in zip(size, (n_columns, n_rows), strict=True)
+    )
+    panels = []
+    for k, (label, drawn) in enumerate(shown.items()):
+        row, column = divmod(k, n_columns)
+        top, bottom, left, right = *rows[row : row + 2], *columns[column : column + 2]
+        scene = Scene(drawn, (right - left) / (bottom - top), level, k, framing)
+        panels.append((label, scene, (slice(top, bottom), slice(left, right))))
+    return panels
 
 
-def _frames(picture: _Picture, n_frames: int, fps: float) -> Iterator[np.ndarray]:
+def _picture(panels: Sequence[_Panel], size: tuple[int, int], time: float) -> np.ndarray:
+    """Return the picture (H, W, 3) uint8 of all panels at `time` seconds, with captions."""
+    width, height = size
+    # An empty panel is like the background.
+    picture, letters = np.full((height, width, 3), 245, np.uint8), _TEXT * height
+    for label, scene, area in panels:
+        image = np.empty_like(picture[area])
+        scene.draw(time, image)
+        write_caption(image, label, (1.3 * letters, letters), letters)
+        rows, columns = area
+        if columns.start:
+            image[:, 0] = 205
+        if rows.start:
+            image[0] = 205
+        picture[area] = image
+    clock = f"{int(time // 60)}:{time % 60:04.1f}"
+    write_caption(picture, clock, (height - 1.3 * letters, -letters), letters)
+    return picture
+
+
+def _drawn_ahead(frames: Iterable[Callable[[], np.ndarray]]) -> Iterator[np.ndarray]:
     """Yield the frames in order; as many threads as there are cores draw ahead."""
     n_threads = min(os.cpu_count() or 1, 8)
-    free = deque(picture.buffers() for _ in range(n_threads))
     waiting: deque[Future[np.ndarray]] = deque()
-
-    def drawn(time: float) -> np.ndarray:
-        buffers = free.popleft()
-        try:
-            return picture.draw(time, buffers)
-        finally:
-            free.append(buffers)
-
     with ThreadPoolExecutor(n_threads) as pool:
         try:
-            for k in range(n_frames):
-                waiting.append(pool.submit(drawn, k / fps))
+            for draw in frames:
+                waiting.append(pool.submit(draw))
                 if len(waiting) > 2 * n_threads:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            for future in waiting:
-                future.cancel()
+            pool.shutdown(cancel_futures=True)

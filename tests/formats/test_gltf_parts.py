@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.errors import FormatError
 from gesturekit.formats.gltf.file import Gltf
 from gesturekit.formats.gltf.scene import Curve, Nodes
-from gesturekit.formats.gltf.vrm import Colours, avatar_facts
+from gesturekit.formats.gltf.vrm import avatar_facts, colours_of
 from gesturekit.motion import Motion
 
 
@@ -198,8 +198,8 @@ def colours(path: Path, material: dict, uv: list, image: bytes = b"") -> np.ndar
     view = file.view(image or picture())
     file.json |= {"materials": [material], "textures": [{"source": 0}, {}],
                   "images": [{"bufferView": view, "mimeType": "image/png"}]}  # fmt: skip
-    found = Colours(Gltf(file.save(path)))
-    return found.at(0, None if uv is None else np.array(uv, float), 3 if uv is None else len(uv))
+    places, n_points = (None, 3) if uv is None else (np.array(uv, float), len(uv))
+    return colours_of(Gltf(file.save(path)), {}, 0, places, n_points)
 
 
 def test_colours_are_srgb_of_the_base_colour_times_the_texture(tmp_path):

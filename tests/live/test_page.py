@@ -23,7 +23,7 @@ from gesturekit.live import Step
 from gesturekit.live.page import Page
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.face import FaceTrack
-from gesturekit.viewer.human import Human
+from gesturekit.viewer.human import load_human
 
 pytestmark = bundled
 
@@ -105,7 +105,7 @@ def test_a_client_gets_each_pose_with_the_time_of_its_sound(serve):
         first, second = (received(client) for _ in range(2))
     assert first[0] == 3.0 and second[0] == pytest.approx(3.0 + 1 / 30)
     assert first[1] == 0.25 and second[1] == pytest.approx(0.25 - 1 / 30)
-    joints, human = served.joints(), Human.load().skeleton
+    joints, human = served.joints(), load_human()[0]
     assert joints["parents"][: joints["n_joints"]] == list(human.parents)
     for (_, _, root, turns), direction in ((first, [-1, 0, 0]), (second, [-0.5, 0.75**0.5, 0])):
         # The right arm, on the page's rig: the page turns each offset by all joints above it.
@@ -119,7 +119,7 @@ def test_a_client_gets_each_pose_with_the_time_of_its_sound(serve):
 def test_the_body_on_the_page_gets_its_face(serve, open_browser):
     names = ("unknown", "jawOpen", "eyeBlinkLeft")
     served, browser = serve(face=names), open_browser()
-    order = sorted(names[1:], key=list(Human.load().skins[0].morphs).index)
+    order = sorted(names[1:], key=list(load_human()[1][0].morphs).index)
     motion = raised(served.skeleton, np.zeros(3), 30.0)
     face = FaceTrack(names, np.outer([1, 2, 3], [0.3, 0.25, 0.125]), "rules")
     browser.open(f"http://127.0.0.1:{served.port}/", width=320, height=320)
@@ -130,7 +130,7 @@ def test_the_body_on_the_page_gets_its_face(serve, open_browser):
         served.page.put(Step(SILENCE, replace(motion, face=face), 2.0, None))
         numbers = [np.frombuffer(client.recv(timeout=5)[16:], "<f4") for _ in range(3)]
     expected = np.stack([face.channel(name) for name in order], axis=1)
-    n_joints = Human.load().skeleton.n_joints
+    n_joints = load_human()[0].n_joints
     np.testing.assert_allclose([row[3 + 4 * n_joints :] for row in numbers], expected)
     browser.wait("document.documentElement.dataset.frames == 3")
     shown = browser.run("[...live.figure.skin.face.slice(0, 6)]")

@@ -28,7 +28,7 @@ from gesturekit.live import FileSource, Recording, Report, Step, run
 from gesturekit.live.session import Session
 from gesturekit.live.sources import Block, PipeSource
 from gesturekit.motion import Motion
-from gesturekit.viewer.human import Human
+from gesturekit.viewer.human import load_human
 
 MAIN = """
 import sys, loud, gesturekit.systems
@@ -363,7 +363,7 @@ def test_a_file_starts_when_its_page_is_open(write_speech, tmp_path, face):
         messages = list(client)
     times = [np.frombuffer(message[:8])[0] for message in messages]
     # A frame has its time and lag, a position, rotations and the face's channels.
-    n_channels = (len(messages[0]) - 16) // 4 - 3 - 4 * Human.load().skeleton.n_joints
+    n_channels = (len(messages[0]) - 16) // 4 - 3 - 4 * load_human()[0].n_joints
     assert n_channels == (len(EnergyFace.names) if face == "energy" else 0)
     np.testing.assert_allclose(times, np.arange(15) / 30, atol=1e-9)
     thread.join(20)

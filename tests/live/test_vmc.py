@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.live import Step
 from gesturekit.live.sinks import VmcSender
 from gesturekit.motion.face import FaceTrack
-from gesturekit.viewer.human import Fitting, Human
+from gesturekit.viewer.human import Fitting, load_human
 
 SILENCE = np.zeros(0, np.float32)
 NEEDED = {  # bones that Unity needs for a humanoid
@@ -59,7 +59,7 @@ def received(skeleton) -> Iterator[list[list]]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
         reader.bind(("127.0.0.1", 0))
         reader.settimeout(5)
-        fitting = Fitting(Human.load(), raised(skeleton, [0.0], 30.0))
+        fitting = Fitting(load_human()[0], raised(skeleton, [0.0], 30.0))
         sender = VmcSender("127.0.0.1", reader.getsockname()[1], fitting)
 
         def send(angles: list[float], time: float, face: FaceTrack | None = None) -> list[list]:

@@ -266,7 +266,7 @@ def test_a_body_of_known_measures_is_baked(wheel):
 
 def test_face_units_move_the_finest_mesh(wheel, monkeypatch):
     monkeypatch.setattr(human, "FILE", bake.BAKED)
-    skins = human.Human.load.__wrapped__().skins
+    skins = human.load_human.__wrapped__()[1]
     with np.load(bake.BAKED) as file:
         mesh = read_level(dict(file), 0)
     moves = {name: np.zeros(mesh.vertices.shape) for name in makehuman.CHANNELS}

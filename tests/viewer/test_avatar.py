@@ -25,8 +25,8 @@ def vrm(tmp_path, request) -> Path:
 
 
 def test_both_versions_of_vrm_look_along_z_with_their_bones_and_colours(vrm):
-    human = load_avatar(vrm)[0]
-    rig, skin = human.skeleton, human.skins[0]
+    avatar, skins = load_avatar(vrm)
+    rig, skin = avatar.skeleton, skins[0]
     for ours, theirs in LEFT_ARM.items():
         place = skin.rest[rig.index(f"Left{ours}")]
         np.testing.assert_allclose(place, BONES[f"left{theirs}"][1], atol=1e-5)
@@ -106,7 +106,7 @@ def changed(*path: Any, value: Any = None, drop: bool = False) -> Callable[[dict
 
 def test_faces_of_transparent_texture_are_left_out(tmp_path):
     masked = changed("materials", 0, "alphaMode", value="MASK")
-    skin = load_avatar(with_changes(tmp_path / "me.vrm", masked))[0].skins[0]
+    skin = load_avatar(with_changes(tmp_path / "me.vrm", masked))[1][0]
     assert (np.linalg.norm(skin.vertices - HAIR, axis=1) > 0.06).all()
     np.testing.assert_array_equal(np.unique(skin.palette[skin.regions], axis=0), [[200, 30, 30]])
 
@@ -127,7 +127,7 @@ def test_a_texture_that_cannot_be_read_leaves_the_base_colour(tmp_path, change, 
         avif = {"extensions": {"EXT_texture_avif": {"source": 0}}}
         changes.append(changed("textures", value=[avif]))
     with pytest.warns(UserWarning, match=says):
-        skin = load_avatar(with_changes(tmp_path / "me.vrm", *changes))[0].skins[0]
+        skin = load_avatar(with_changes(tmp_path / "me.vrm", *changes))[1][0]
     np.testing.assert_array_equal(skin.palette, [[0, 0, 255]])
 
 

@@ -66,7 +66,7 @@ def test_closed_lids_cover_the_eyes(tmp_path, read_video) -> None:
 
 
 def test_channels_move_the_skin_as_they_are_named() -> None:
-    skin = human.Human.load().skins[0]
+    skin = human.load_human()[1][0]
     iris = skin.regions == list(human.COLOURS).index("iris")
     is_left = skin.vertices[:, 0] > 0
 
@@ -112,7 +112,7 @@ def test_a_page_carries_the_channels_that_move_the_body(tmp_path) -> None:
     values = np.frombuffer(zlib.decompress(base64.b64decode(first["face"])), np.uint8)
     assert values.tolist() == [128, 0, 64, 255]
     assert "face" not in second
-    jaw, skin = morphs["jawOpen"], human.Human.load().skins[0]
+    jaw, skin = morphs["jawOpen"], human.load_human()[1][0]
     steps = unpacked(jaw["offsets"], jaw["n_vertices"]).astype(np.int16)
     np.testing.assert_allclose(jaw["step"] * steps, skin.morphs["jawOpen"].offsets, atol=2e-6)
     assert unpacked(jaw["vertices"], jaw["n_vertices"])[:, 0].tolist() == (
@@ -124,7 +124,7 @@ def test_a_page_carries_the_channels_that_move_the_body(tmp_path) -> None:
 
 
 def test_all_channels_take_little_room(tmp_path) -> None:
-    names = human.Human.load().skins[0].morphs
+    names = human.load_human()[1][0].morphs
     sizes = []
     for frame in ({}, dict.fromkeys(names, 1.0)):
         write_html(with_face(*[frame] * 30), path := tmp_path / "a.html", body="human")

@@ -42,8 +42,9 @@ def test_a_person_looks_to_the_front_with_its_left_on_the_left(recording):
     _, figure = recording
     front = np.array([np.sin(figure.front), 0, np.cos(figure.front)])
     left = np.cross([0, 1, 0], front)
-    face = figure.points[:, figure.head.face] - figure.points[:, figure.head.base]
-    assert np.mean(face @ front) > 0.5 * figure.head.size
+    base, _, face = figure.head
+    looks = figure.points[:, face] - figure.points[:, base]
+    assert np.mean(looks @ front) > 0.5 * figure.head_size
     sides = {
         side: np.mean(
             [figure.points[:, limb.ends[1]] @ left for limb in figure.limbs if limb.side == side]
@@ -71,8 +72,9 @@ def test_a_quadruped_faces_where_its_head_is(quadruped, front):
     motion.rotations[:, 0] = turn.as_quat()
     figure = Figure.of(motion)
     assert figure.front == pytest.approx(front)
-    head = figure.points[0, figure.head.face] - figure.points[0, figure.head.base]
-    assert head @ [np.sin(front), 0, np.cos(front)] > 0.9 * figure.head.size
+    base, _, face = figure.head
+    looks = figure.points[0, face] - figure.points[0, base]
+    assert looks @ [np.sin(front), 0, np.cos(front)] > 0.9 * figure.head_size
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 2.0])

