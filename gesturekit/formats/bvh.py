@@ -20,7 +20,7 @@ import numpy as np
 
 from audio_features.atomic import atomic_write
 from gesturekit.errors import FormatError, MotionError
-from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedJoint, parse_bvh
+from gesturekit.formats.bvh_parser import UNIT_MARKS, ParsedBvh, ParsedJoint, parse_bvh
 from gesturekit.formats.conventions import METRES, check_choice, file_axes, guess_unit, with_y_up
 from gesturekit.motion.motion import Motion
 from gesturekit.motion.parts.body_size import first_fork
@@ -66,17 +66,20 @@ def read_bvh(
     """
     path = Path(path)
     check_choice("unit", unit, ("auto", *METRES))
-    joints, frames, fps, mark, info = parse_bvh(path, fps)
-    if mark is not None:
-        unit = mark if unit == "auto" else unit
+    parsed = parse_bvh(path, fps)
+    if parsed.unit is not None:
+        unit = parsed.unit if unit == "auto" else unit
         if up in ("auto", "y") and forward in ("auto", "z"):
             up, forward = "y", "z"
     try:
-        motion = _to_motion(joints, frames, fps, unit)
+        motion = _to_motion(parsed, unit)
         axes = file_axes(motion, up, forward)
-        guessed = (*motion.info["guessed"], *axes.guessed)
-        info |= {"source": str(path), "up": axes.up, "forward": axes.forward, "guessed": guessed}
-        motion.info.update(info)
+        motion.info.update(
+            source=str(path),
+            up=axes.up,
+            forward=axes.forward,
+            guessed=(*motion.info["guessed"], *axes.guessed),
+        )
         return with_y_up(motion, axes)
     except MotionError as error:
         raise FormatError(f"{path}: {error}") from None
@@ -128,15 +131,15 @@ def write_bvh(
 # Reading
 
 
-def _to_motion(joints: list[ParsedJoint], frames: np.ndarray, fps: float, unit: str) -> Motion:
-    """Return the motion in metres, with the file's axes; `frames` (T, C) are of `parse_bvh`."""
+def _to_motion(parsed: ParsedBvh, unit: str) -> Motion:
+    """Return the motion in metres, with the file's axes."""
+    joints, n_frames = parsed.joints, len(parsed.frames)
     offsets = np.array([joint.offset for joint in joints])
     columns: dict[tuple[int, str], int] = {}
     for j, joint in enumerate(joints):
         for name in joint.channels:
             columns[j, name] = len(columns)
-    rotations = _rotations(joints, frames, columns)
-    places = _places(joints, frames, columns)
+    rotations, places = _rotations(parsed, columns), _places(parsed, columns)
     skeleton = Skeleton(
         names=tuple(joint.name for joint in joints),
         parents=tuple(joint.parent for joint in joints),
@@ -153,7 +156,7 @@ def _to_motion(joints: list[ParsedJoint], frames: np.ndarray, fps: float, unit: 
     metres = METRES[unit]
     translation = places.pop(0, None)
     if translation is None:
-        translation = np.tile(offsets[0], (len(frames), 1))
+        translation = np.tile(offsets[0], (n_frames, 1))
     moving = {}
     below_fork = skeleton.descendants(first_fork(skeleton))
     for j, values in places.items():
@@ -168,10 +171,13 @@ def _to_motion(joints: list[ParsedJoint], frames: np.ndarray, fps: float, unit: 
         skeleton=replace(skeleton, offsets=offsets).scaled(metres),
         rotations=rotations,
         translation=translation * metres,
-        fps=fps,
+        fps=parsed.fps,
         joint_translations=moving,
     )
-    motion.info.update(unit=unit, guessed=() if is_sure else ("unit",))
+    guessed = () if is_sure else ("unit",)
+    motion.info.update(unit=unit, guessed=guessed, frame_time=parsed.frame_time)
+    if parsed.renamed:
+        motion.info["renamed"] = parsed.renamed
     return motion
 
 
@@ -181,10 +187,9 @@ def _order(joint: ParsedJoint) -> str:
     return next(order for order in ROTATION_ORDERS if order.startswith(turning))
 
 
-def _rotations(
-    joints: list[ParsedJoint], frames: np.ndarray, columns: Mapping[tuple[int, str], int]
-) -> np.ndarray:
+def _rotations(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> np.ndarray:
     """(T, J, 4) local quaternions; `columns` are those of frames by joint and channel."""
+    frames, joints = parsed.frames, parsed.joints
     rotations = np.empty((len(frames), len(joints), 4))
     in_order: dict[str, list[int]] = {}
     for j, joint in enumerate(joints):
@@ -201,16 +206,14 @@ def _rotations(
     return rotations
 
 
-def _places(
-    joints: list[ParsedJoint], frames: np.ndarray, columns: Mapping[tuple[int, str], int]
-) -> dict[int, np.ndarray]:
+def _places(parsed: ParsedBvh, columns: Mapping[tuple[int, str], int]) -> dict[int, np.ndarray]:
     """Return joint to (T, 3) positions in its parent's frame, for joints with position channels."""
     places: dict[int, np.ndarray] = {}
     for (j, name), column in columns.items():
         if name[1] == "p":
             if j not in places:
-                places[j] = np.tile(np.array(joints[j].offset), (len(frames), 1))
-            places[j][:, "XYZ".index(name[0])] = frames[:, column]
+                places[j] = np.tile(np.array(parsed.joints[j].offset), (len(parsed.frames), 1))
+            places[j][:, "XYZ".index(name[0])] = parsed.frames[:, column]
     return places
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import numpy as np
 
@@ -96,8 +96,25 @@ class ParsedJoint:
     ends: list[tuple[float, float, float]] = field(default_factory=list)
 
 
-ParsedBvh = tuple[list[ParsedJoint], np.ndarray, float, str | None, dict[str, Any]]
-"""See `parse_bvh`."""
+@dataclass
+class ParsedBvh:
+    """Content of a BVH file.
+
+    Attributes:
+        joints: parents before children.
+        frame_time: Frame Time as written.
+        fps: frames per second.
+        frames: (T, C) float64, one column per channel, in the file's units.
+        renamed: new name to name in the file, for names that had to be changed.
+        unit: unit of our mark, see `UNIT_MARKS`; None in files of other programs.
+    """
+
+    joints: list[ParsedJoint]
+    frame_time: str
+    fps: float
+    frames: np.ndarray
+    renamed: dict[str, str]
+    unit: str | None
 
 
 def parse_bvh(path: Path, fps: float | None = None) -> ParsedBvh:
@@ -106,12 +123,6 @@ def parse_bvh(path: Path, fps: float | None = None) -> ParsedBvh:
     Args:
         path: the file.
         fps: frames per second in place of `Frame Time`, which may then be anything.
-
-    Returns:
-        The joints, parents before children; (T, C) float64, one column per channel, in the file's
-        units; frames per second; the unit of our mark (`UNIT_MARKS`), None in files of other
-        programs; and for `Motion.info`, `frame_time` (as written) and, if names had to be changed,
-        `renamed` (new name to name in the file).
 
     Raises:
         FormatError: missing, not a BVH file, or broken; the message names file and line.
@@ -152,8 +163,7 @@ def _parse(path: Path, encoding: str, fps: float | None) -> ParsedBvh:
         frames = parse_rows(lines, n_frames, n_channels)
     if lines.has_decimal_commas:
         warnings.warn(f"{path}: its decimal commas are read as points", stacklevel=2)
-    info = {"frame_time": frame_time} | ({"renamed": renamed} if renamed else {})
-    return joints, frames, fps, unit, info
+    return ParsedBvh(joints, frame_time, fps, frames, renamed, unit)
 
 
 def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:

@@ -178,7 +178,7 @@ def test_numbers_are_parsed_as_by_python(write, long_ones, no_point):
         words[77], words[99] = "12", "-1.5E+2"
     rows = "\n".join(" ".join(words[i : i + 9]) for i in range(0, len(words), 9))
     head = SMALL[: SMALL.index("0 90 0 0 0")].replace("Frames: 3", "Frames: 500")
-    _, frames, *_ = parse_bvh(write(head + rows))
+    frames = parse_bvh(write(head + rows)).frames
     np.testing.assert_array_equal(frames.ravel(), [float(word) for word in words])
 
 
