@@ -159,7 +159,8 @@ def _parse(path: Path, encoding: str, fps: float | None) -> ParsedBvh:
                 renamed[name], joint.name = joint.name, name
         n_frames, frame_time, fps = _parse_timing(lines, fps)
         n_channels = sum(len(joint.channels) for joint in joints)
-        lines.refuse(not n_channels, "no joint has CHANNELS: the file holds no motion")
+        if not n_channels:
+            raise lines.error("no joint has CHANNELS: the file holds no motion")
         frames = parse_rows(lines, n_frames, n_channels)
     if lines.has_decimal_commas:
         warnings.warn(f"{path}: its decimal commas are read as points", stacklevel=2)
@@ -206,8 +207,10 @@ def _parse_hierarchy(lines: Lines) -> tuple[list[ParsedJoint], str | None]:
             raise lines.error(f"{statement[:40]!r} is not a statement of a BVH hierarchy {where}")
     else:
         raise lines.error("the file stops before MOTION")
-    lines.refuse(open_blocks, f"MOTION while {len(open_blocks)} joints lack their }}")
-    lines.refuse(not blocks, "no ROOT before MOTION")
+    if open_blocks:
+        raise lines.error(f"MOTION while {len(open_blocks)} joints lack their }}")
+    if not blocks:
+        raise lines.error("no ROOT before MOTION")
     return blocks, unit
 
 
@@ -216,8 +219,10 @@ def _block(
 ) -> ParsedJoint:
     if keyword == "ROOT" and blocks:
         raise lines.error(f"a second ROOT, {rest[:40]!r}, after {blocks[0].name!r}: export one rig")
-    lines.refuse(keyword != "ROOT" and parent < 0, f"{keyword} {rest[:40]!r} has no parent joint")
-    lines.refuse(len(blocks) >= _MOST_JOINTS, f"over {_MOST_JOINTS} joints")
+    if keyword != "ROOT" and parent < 0:
+        raise lines.error(f"{keyword} {rest[:40]!r} has no parent joint")
+    if len(blocks) >= _MOST_JOINTS:
+        raise lines.error(f"over {_MOST_JOINTS} joints")
     if is_end := keyword.startswith("END"):
         rest = f"{blocks[parent].name}_End"
     return ParsedJoint(rest or f"joint{len(blocks)}", parent, is_end)
@@ -335,11 +340,6 @@ class Lines:
         self.has_decimal_commas |= count > 0
         return text
 
-    def refuse(self, is_wrong: object, message: str) -> None:
-        """Raise an error about the current line if something is wrong."""
-        if is_wrong:
-            raise self.error(message)
-
     def error(self, message: str, line: int | None = None) -> FormatError:
         """Return an error about the current line, or about line number `line`."""
         return FormatError(f"{self.path}:{line or self.number}: {message}")
@@ -376,7 +376,8 @@ def parse_rows(lines: Lines, n_frames: int, n_channels: int) -> np.ndarray:
         lines.number += text.count("\n")
         if not read:
             break
-    lines.refuse(not n_rows, f"the file declares {n_frames} frames and holds none")
+    if not n_rows:
+        raise lines.error(f"the file declares {n_frames} frames and holds none")
     if n_rows != n_frames:
         held = f"; all {n_rows} that it holds are read"
         if n_rows < n_frames:

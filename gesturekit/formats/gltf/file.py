@@ -84,11 +84,6 @@ class Gltf:
             way = "export it again without compression (gltf-transform would drop the data of VRM)"
         return self.error(f"needs the extension {extension[:60]!r}, which is not read; {way}")
 
-    def refuse(self, is_wrong: object, problem: str) -> None:
-        """Raise an error that names the file if something is wrong."""
-        if is_wrong:
-            raise self.error(problem)
-
     def error(self, problem: str) -> FormatError:
         """Return an error that names the file."""
         return FormatError(f"{self.path}: {problem}")
@@ -127,19 +122,24 @@ class Gltf:
         if sum(map(text.count, (b",", b"[", b"{"))) > _MAX_VALUES:
             raise self.error(f"its JSON part has over {_MAX_VALUES} values")
         parsed = parse_json(text, f"{self.path}: its JSON part", FormatError)
-        self.refuse(not isinstance(parsed, dict), "its JSON part is not an object")
+        if not isinstance(parsed, dict):
+            raise self.error("its JSON part is not an object")
         version = self.object(parsed, "asset").get("version", "2.0")
         if not str(version).startswith("2."):
             raise self.error(f"glTF version {str(version)[:20]}; expected 2.0")
         return parsed
 
     def _json_chunk(self, content: bytes) -> bytes:
-        self.refuse(len(content) < 20 or content[:4] != b"glTF", "no binary glTF file (.glb, .vrm)")
+        if len(content) < 20 or content[:4] != b"glTF":
+            raise self.error("no binary glTF file (.glb, .vrm)")
         version, length, n_json, kind = struct.unpack_from("<4I", content, 4)
-        self.refuse(version != 2, f"glTF version {version}; expected 2")
-        self.refuse(length > len(content), f"cut short: {len(content)} of {length} bytes")
+        if version != 2:
+            raise self.error(f"glTF version {version}; expected 2")
+        if length > len(content):
+            raise self.error(f"cut short: {len(content)} of {length} bytes")
         start = 20 + n_json
-        self.refuse(kind != JSON or start > len(content), "no readable JSON part at its start")
+        if kind != JSON or start > len(content):
+            raise self.error("no readable JSON part at its start")
         if len(content) >= start + 8:
             n_data, kind = struct.unpack_from("<2I", content, start)
             if kind == BIN:
@@ -154,7 +154,8 @@ class Gltf:
         Raises:
             FormatError: neither; files of other folders are not opened.
         """
-        self.refuse(not isinstance(uri, str), f"the uri {str(uri)[:60]!r} is not text")
+        if not isinstance(uri, str):
+            raise self.error(f"the uri {str(uri)[:60]!r} is not text")
         if uri in self._resources:
             return self._resources[uri]
         if uri.startswith("data:"):
@@ -171,7 +172,8 @@ class Gltf:
             is_inside = file.is_relative_to(folder) and "://" not in uri
         except (OSError, ValueError, RuntimeError):
             is_inside = False
-        self.refuse(not is_inside, f"{uri[:100]!r} is not a file in its folder, and is not opened")
+        if not is_inside:
+            raise self.error(f"{uri[:100]!r} is not a file in its folder, and is not opened")
         if file not in self._resources:
             self._resources[file] = self._content(file)
         return self._resources.setdefault(uri, self._resources[file])

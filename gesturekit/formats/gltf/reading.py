@@ -82,7 +82,8 @@ def read_gltf(
         FormatError: not glTF 2.0, broken, compressed, or without joints.
     """
     gltf = Gltf(path)
-    gltf.refuse(unit not in METRES, f"unit {unit!r}; expected {', '.join(METRES)}")
+    if unit not in METRES:
+        raise gltf.error(f"unit {unit!r}; expected {', '.join(METRES)}")
     nodes = Nodes(gltf)
     joints, ends = _joints(gltf, nodes)
     names, renamed = _names(gltf, joints)

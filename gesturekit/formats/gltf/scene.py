@@ -310,7 +310,8 @@ class _Keys:
         index = sampler.get("input")
         stored = self._gltf.array(index, "times", 1)[:, 0]
         if index not in self._times:
-            self._gltf.refuse(not len(stored), "an animation has 0 times")
+            if not len(stored):
+                raise self._gltf.error("an animation has 0 times")
             self._gltf.spend("times", decoded=8 * len(stored), work=len(stored))
             times, order = stored.astype(float), None
             if (np.diff(times) < 0).any():
@@ -381,7 +382,8 @@ class Nodes:
             for child in below[node]:
                 self.depth[child] = self.depth[node] + 1
                 heappush(waiting, child)
-        gltf.refuse(len(self.order) < len(nodes), "its nodes form no tree")
+        if len(self.order) < len(nodes):
+            raise gltf.error("its nodes form no tree")
         if any(depth > _DEEPEST for depth in self.depth):
             raise gltf.error(f"over {_DEEPEST} nodes above one another")
         self._gltf = gltf

@@ -219,7 +219,8 @@ def read_avatar(path: str | os.PathLike[str]) -> tuple[Avatar, Skin]:
         height = body_height(skeleton)
     except GestureKitError as error:
         raise gltf.error(f"its bones form no body: {error}") from None
-    gltf.refuse(not _HEIGHTS[0] <= height <= _HEIGHTS[1], f"its body is {height:g} metres tall")
+    if not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
+        raise gltf.error(f"its body is {height:g} metres tall")
     return Avatar(gltf, tuple(joints), skeleton, height, is_backwards), mesh
 
 
@@ -287,7 +288,8 @@ def avatar_bones(glb: Gltf) -> tuple[dict[int, str], bool]:
             bones[name] = glb.whole(entry.get("node"), n_nodes, f"node of bone {name}")
     if missing := [name for name in _NEEDED if name not in bones]:
         raise glb.error(f"its humanoid has no bone {missing[0]!r}")
-    glb.refuse(len(set(bones.values())) < len(bones), "two bones of its humanoid are one node")
+    if len(set(bones.values())) < len(bones):
+        raise glb.error("two bones of its humanoid are one node")
     return {node: ours[name] for name, node in bones.items()}, not is_new
 
 
@@ -331,12 +333,14 @@ class _MeshReader:
                 attributes = glb.object(primitive, "attributes")
                 faces, used, colours = self._faces(primitive, attributes)
                 n_faces += len(faces)
-                glb.refuse(n_faces > _MAX_FACES, f"over {_MAX_FACES} triangles")
+                if n_faces > _MAX_FACES:
+                    raise glb.error(f"over {_MAX_FACES} triangles")
                 if len(faces):
                     placed = self._placed(node, entry.get("skin"), attributes, used)
                     pieces.append((faces + n_vertices, colours, *placed))
                     n_vertices += len(used)
-        glb.refuse(not pieces, "it has no mesh of triangles")
+        if not pieces:
+            raise glb.error("it has no mesh of triangles")
         faces, colours, vertices, joints, weights = map(np.concatenate, zip(*pieces))
         palette, regions = reduce_colours(colours)
         return Skin(vertices, faces.astype(np.uint32), joints, weights, rest, regions, palette)
@@ -351,7 +355,8 @@ class _MeshReader:
         """
         glb = self._glb
         places = glb.array(attributes.get("POSITION"), "POSITION", 3)
-        glb.refuse(places.dtype.kind != "f", "POSITION holds no floats")
+        if places.dtype.kind != "f":
+            raise glb.error("POSITION holds no floats")
         if "indices" in primitive:
             corners = glb.array(primitive["indices"], "indices", 1)[:, 0]
         else:
