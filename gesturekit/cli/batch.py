@@ -92,31 +92,32 @@ def show(
     work: Batch | Conversion,
     description: str,
     add: Callable[[Result], str | None],
-    stopped: Callable[[], str],
-) -> bool:
-    """Do work with a progress bar.
+    summary: Callable[[], str] | None = None,
+) -> int:
+    """Do work with a progress bar, and return how many inputs failed; a full disk counts as one.
 
     Args:
         work: what to do.
         description: name of the bar.
         add: called with each result, to print it; it may return a text for the bar.
-        stopped: returns the message of Ctrl-C.
-
-    Returns:
-        False if the output folder could no longer be written to, which is printed.
+        summary: returns what was done so far, for the message of Ctrl-C; without it, the number
+            that failed is printed at the end.
     """
     from tqdm.contrib.logging import logging_redirect_tqdm
 
     from gesturekit.errors import OutputError
     from gesturekit.progress import Progress
 
+    errors: list[str | None] = []
+    done = summary or (lambda: f"{len(errors)} done")
     try:
         with (
-            resumable(stopped),
+            resumable(lambda: f"{done()}; the same command continues"),
             logging_redirect_tqdm(tqdm_class=Progress),
             Progress(total=len(work.tasks), desc=description, unit="file") as bar,
         ):
             for result in work.run():
+                errors.append(result.error)
                 with Progress.external_write_mode():
                     text = add(result)
                 if text is not None:
@@ -124,33 +125,17 @@ def show(
                 bar.update()
     except OutputError as error:
         click.echo(f"Error: {error}", err=True)
-        return False
-    return True
-
-
-def show_and_count(
-    work: Batch | Conversion, description: str, add: Callable[[Result], None]
-) -> int:
-    """Do work as `show` does, print how many inputs failed, and return the exit code."""
-    errors: list[str | None] = []
-
-    def add_counted(result: Result) -> None:
-        errors.append(result.error)
-        add(result)
-
-    is_whole = show(
-        work, description, add_counted, lambda: f"{len(errors)} done; the same command continues."
-    )
+        errors.append(str(error))
     failed = len(errors) - errors.count(None)
-    if failed and len(errors) > 1:
+    if summary is None and failed and len(errors) > 1:
         click.echo(f"{failed} of {len(errors)} failed.", err=True)
-    return 1 if failed or not is_whole else 0
+    return failed
 
 
 def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words
-    from gesturekit.rendering.batch import estimated_cost, preview
+    from gesturekit.rendering.renderer import estimated_cost, preview
     from gesturekit.wording import listed
 
     words = {"left": "make", "kept": "keep", "failed": "fail"}

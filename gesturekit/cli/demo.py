@@ -27,8 +27,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     """
     click.echo("Loading the demo model ...", err=True)
     from audio_features.atomic import atomic_write
-    from gesturekit.rendering.batch import render_batch
-    from gesturekit.rendering.renderer import Output
+    from gesturekit.rendering.renderer import Output, render_batch
     from gesturekit.rendering.summary import faces_in_words
     from gesturekit.systems import bundled_speech, load
 

@@ -9,7 +9,7 @@ import click
 
 from audio_features.kinds import KINDS
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
-from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
+from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
 from gesturekit.cli.options import (
     PATH,
     RATE,
@@ -111,7 +111,7 @@ def command(
     if is_dry:
         print_preview(batch)
         return
-    ctx.exit(show_and_count(batch, "Features", _print))
+    ctx.exit(1 if show(batch, "Features", _print) else 0)
 
 
 def _print(result: Result) -> None:

@@ -42,7 +42,7 @@ def command(
         _print(status, out)
     if failed:
         for item in status.failed:
-            click.echo(printable(f"failed {item.attempts}x  {item.id}: {item.error}"))
+            click.echo(printable(f"failed {item.failures}x  {item.id}: {item.error}"))
     if left:
         for name in status.left:
             click.echo(printable(f"left  {name}"))
@@ -90,8 +90,11 @@ def _print(status: Status, out: Path) -> None:
 
 
 def _as_json(status: Status) -> str:
-    import dataclasses
     import json
 
-    values = dataclasses.asdict(status) | {"seconds_left": status.seconds_left}
+    failed = [
+        {"id": item.id, "error": str(item.error), "attempts": item.failures}
+        for item in status.failed
+    ]
+    values = vars(status) | {"failed": failed, "seconds_left": status.seconds_left}
     return json.dumps(values, indent=1)
