@@ -5,6 +5,7 @@ A launcher repeats the command elsewhere, with `--shard K/N`.
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -32,10 +33,8 @@ _MINUTES = 24 * 60
 _OUTCOMES = (0, 1, 2, 130)  # exit codes of the command line
 
 
-def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[int, int] | None:
+def _shard(text: str) -> tuple[int, int]:
     """Parse --shard: 1/8 to (1, 8)."""
-    if text is None:
-        return None
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
     if match is None:
         raise click.UsageError(f"--shard {text!r}: expected two numbers, such as 1/8 or 8/8")
@@ -44,9 +43,7 @@ def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[in
 
 batch_options = together(
     workers_option,
-    click.option(
-        "--shard", metavar="K/N", callback=_shard, help="Process part K of N, such as 1/8."
-    ),
+    click.option("--shard", metavar="K/N", help="Process part K of N, such as 1/8."),
     click.option(
         "--launcher",
         type=click.Choice(["local", "slurm", "ray"]),
@@ -82,7 +79,7 @@ def pop_execution(ctx: click.Context, out: Path, options: dict[str, Any]) -> tup
     _run_elsewhere(ctx, out, options)
     from gesturekit.jobs.batch import Execution
 
-    shard = options.pop("shard") or (1, 1)
+    shard = _shard(options.pop("shard") or "1/1")
     names = ("workers", "deadline", "retry_failed")
     execution = Execution(shard=shard, **{name: options.pop(name) for name in names})
     return execution, options.pop("dry_run")
@@ -225,12 +222,9 @@ def _run_slurm(
     command: ShardCommand, shards: Sequence[str], out: Path, settings: Sequence[str]
 ) -> list[int]:
     """Run each shard as a job of an array, and return the exit codes."""
-    try:
-        import submitit
-    except ImportError:
-        raise _missing("slurm") from None
     from gesturekit.jobs.records import state_folder
 
+    submitit = _imported("submitit", "slurm")
     values: dict[str, Any] = dict(map(_setting, settings))
     folder = state_folder(out) / "slurm"
     try:
@@ -254,10 +248,7 @@ def _run_slurm(
 
 def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) -> list[int]:
     """Run the shards as tasks of a Ray cluster, and return the exit codes."""
-    try:
-        import ray
-    except ImportError:
-        raise _missing("ray") from None
+    ray = _imported("ray", "ray")
     try:
         ray.init(address=address, include_dashboard=False, log_to_driver=False)
 
@@ -280,5 +271,8 @@ def _setting(text: str) -> tuple[str, int | str]:
     return name, int(value) if value.isdecimal() else value
 
 
-def _missing(extra: str) -> ConfigError:
-    return ConfigError(f"not installed; run: pip install 'gesturekit[{extra}]'")
+def _imported(name: str, extra: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise ConfigError(f"not installed; run: pip install 'gesturekit[{extra}]'") from None

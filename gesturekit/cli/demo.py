@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import existing_option, is_left, resumable, seed_option
+from gesturekit.cli.options import FOLDER, existing_option, is_left, resumable, seed_option
 
 
 @click.command("demo", epilog="Example: gesturekit demo --out gesturekit-demo")
 @click.option(
     *("-o", "--out"),
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default=Path("gesturekit-demo"),
     help="Output folder.",
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import FILE, existing_option, is_left
+from gesturekit.cli.options import FILE, FOLDER, existing_option, is_left
 from gesturekit.wording import counted, printable
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ _MOST_REASONS = 12
 
 
 @click.command("jobs", epilog="Example: gesturekit jobs rendered")
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("out", type=FOLDER)
 @click.option("--failed", is_flag=True, help="List the items that failed, with their reasons.")
 @click.option("--left", is_flag=True, help="List the items that are not done yet.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")

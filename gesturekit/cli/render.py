@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,8 +38,9 @@ from gesturekit.model import Control, Controls, control_entries
 from gesturekit.systems import SYSTEMS, control_docs, controls_type
 
 if TYPE_CHECKING:
+    from gesturekit.corpus.manifest import Item
     from gesturekit.jobs.batch import Batch
-    from gesturekit.jobs.result import Result
+    from gesturekit.jobs.result import Result, Task
     from gesturekit.model import Model
     from gesturekit.rendering.renderer import Output
 
@@ -207,11 +208,14 @@ def command(
     logging.basicConfig(format="Warning: %(message)s")
     _check(sources, corpus, split, seconds, options)
 
-    from gesturekit.corpus import Manifest
     from gesturekit.rendering.renderer import render_batch
     from gesturekit.systems import load
 
-    items = () if corpus is None else Manifest.load(corpus).in_split(split or "test", str(corpus))
+    items: Sequence[Item] = ()
+    if corpus is not None:
+        from gesturekit.corpus.manifest import Manifest
+
+        items = Manifest.load(corpus).in_split(split or "test", str(corpus))
     execution, is_dry = pop_execution(ctx, out, options)
     output = _output(options)  # before the model, which takes seconds to load
     names = ("weights", "device", "dtype")
@@ -228,7 +232,7 @@ def command(
         channel=options.pop("channel"),
         **chosen_controls(options, open_model),
     )
-    _warn_of_speakers(loaded, batch)
+    _warn_of_speakers(loaded.speakers, options["speaker"], batch.tasks)
     if is_dry:
         print_preview(batch)
         return
@@ -319,17 +323,16 @@ def _run(batch: Batch, begin: float, rate: float | None) -> int:
     return 1 if counts["failed"] else 0
 
 
-def _warn_of_speakers(model: Model, batch: Batch) -> None:
+def _warn_of_speakers(speakers: Collection[str], given: str | None, tasks: Sequence[Task]) -> None:
     """Print whose gestures a model of several speakers makes if none of them is chosen."""
-    from gesturekit.rendering.renderer import Renderer
     from gesturekit.wording import listed
 
-    renderer = batch.processor
-    if isinstance(renderer, Renderer) and all(map(renderer.has_speaker, batch.tasks)):
+    items = (task.more.get("item") for task in tasks)
+    own = (task.more.get("speaker", item and item.speaker) for task, item in zip(tasks, items))
+    if len(speakers) < 2 or given in speakers or all(name in speakers for name in own):
         return
-
-    text = f"the model has {len(model.speakers)} speakers, and gestures are those of all of them"
-    click.echo(f"Warning: {text}: --speaker ({listed(sorted(model.speakers))})", err=True)
+    text = f"the model has {len(speakers)} speakers, and gestures are those of all of them"
+    click.echo(f"Warning: {text}: --speaker ({listed(sorted(speakers))})", err=True)
 
 
 def _write_page(batch: Batch) -> None:
@@ -355,10 +358,10 @@ def _output(options: dict[str, Any]) -> Output:
     from gesturekit.motion.parts import parse_parts
     from gesturekit.rendering.renderer import Output
 
-    rig, parts = options.pop("rig"), parse_parts(options.pop("rig_parts"))
+    rig, parts = options.pop("rig"), options.pop("rig_parts")
     return Output(
         formats=options.pop("formats"),
-        rig=None if rig is None else Rig.load(rig, parts),
+        rig=None if rig is None else Rig.load(rig, parse_parts(parts)),
         **{name: options.pop(name) for name in _WRITTEN},
     )
 

@@ -192,13 +192,6 @@ class Renderer(Processor):
         given = task.more.get("transcript", self.controls.get("transcript"))
         return (task_transcript(task) if given is None else given) or None
 
-    def has_speaker(self, task: Task) -> bool:
-        """Return whether a speaker is chosen for a task, or the model has none to choose from."""
-        speakers = self.model.speakers
-        given = [self.controls.get("speaker"), task.more.get("speaker")]
-        given += [task.more["item"].speaker] if "item" in task.more else []
-        return len(speakers) < 2 or any(name in speakers for name in given)
-
     def make(self, result: Result) -> None:
         """Generate the motions of a task and write them."""
         task = result.task
