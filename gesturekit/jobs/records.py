@@ -228,12 +228,11 @@ def _record_of(state: Path, name: str) -> Path:
 
 def _result(task: Task, values: dict[str, Any]) -> Result | None:
     """Return the result of a record; None if a value is missing or has a wrong type."""
-    for name, kind in _STORED.items():
-        if not isinstance(values.get(name), kind):
-            return None
-    for about in (*values["made"].values(), *values["begun"].values()):
-        if not isinstance(about, dict):
-            return None
+    if not all(isinstance(values.get(name), kind) for name, kind in _STORED.items()):
+        return None
+    abouts = (*values["made"].values(), *values["begun"].values())
+    if not all(isinstance(about, dict) for about in abouts):
+        return None
     return Result(task, **{name: values[name] for name in _STORED})
 
 

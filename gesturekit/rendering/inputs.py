@@ -25,6 +25,7 @@ import logging
 import math
 import os
 from collections.abc import Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -227,12 +228,7 @@ def _matches_of_glob(pattern: str) -> Iterator[Task]:
     Raises:
         ConfigError: it matches no sound.
     """
-    fixed = []
-    for part in Path(pattern).parts[:-1]:
-        if glob.has_magic(part):
-            break
-        fixed.append(part)
-    base = Path(*fixed)
+    base = Path(*takewhile(lambda part: not glob.has_magic(part), Path(pattern).parts[:-1]))
     paths = (Path(path) for path in sorted(glob.glob(pattern, recursive=True)))  # noqa: PTH207
     sounds = [path for path in paths if path.suffix.lower() in SPEECH_SUFFIXES and path.is_file()]
     if not sounds:

@@ -203,7 +203,12 @@ class Renderer(Processor):
             motion = motion if self.body is None else self.body.put(motion)
             result.facts["fps"] = motion.fps
             for file in self.missing(result, name):
-                self._write(motion, file, sound)
+                options = dict(self.written[file.suffix[1:]])
+                if self.body is not None:
+                    options |= self.body.options.get(file.suffix, {})
+                if file.suffix[1:] in _DRAWINGS and sound is not None:
+                    options["audio"] = sound
+                motion.save(file, **options)
 
     def _generate(self, task: Task) -> tuple[af.Wave | None, list[Motion]]:
         """Return the sound of a task, and its motions."""
@@ -213,7 +218,8 @@ class Renderer(Processor):
                 log.warning("%s: %s", task.source, fault)
         controls: dict[str, Any] = dict(self.controls)
         seconds: float | None = None
-        is_whole_sound = wave is not None and self._takes_speech()
+        takes_speech = any(model.inputs.speech for model in self._models)
+        is_whole_sound = wave is not None and takes_speech
         if item is not None:
             controls = self._item_controls(item) | controls
             seconds = None if is_whole_sound else item.duration
@@ -229,21 +235,9 @@ class Renderer(Processor):
         motions = self.model.generate(speech, **controls)
         return wave, motions if isinstance(motions, list) else [motions]
 
-    def _takes_speech(self) -> bool:
-        """Return whether the model or one of its experts has speech input."""
-        return any(model.inputs.speech for model in self._models)
-
     @property
     def _models(self) -> list[Model]:
         return [self.model, *(expert[0] for expert in self.controls.get("experts", ()))]
-
-    def _write(self, motion: Motion, file: Path, sound: Path | af.Wave | None) -> None:
-        options = dict(self.written[file.suffix[1:]])
-        if self.body is not None:
-            options |= self.body.options.get(file.suffix, {})
-        if file.suffix[1:] in _DRAWINGS and sound is not None:
-            options["audio"] = sound
-        motion.save(file, **options)
 
 
 def _without_defaults(model: Model, arguments: Mapping[str, Any]) -> dict[str, Any]:
