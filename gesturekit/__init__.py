@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from gesturekit.motion.face import FaceTrack
     from gesturekit.motion.motion import Motion
     from gesturekit.motion.skeleton import Skeleton
-    from gesturekit.rendering.batch import render
+    from gesturekit.rendering.renderer import render
     from gesturekit.systems import load, train
 
 __version__ = "0.1.0"
@@ -54,7 +54,7 @@ __getattr__ = lazy.attach(
         "evaluate": "evaluation",
         "load": "systems",
         "prepare": "corpus",
-        "render": "rendering.batch",
+        "render": "rendering.renderer",
         "train": "systems",
     },
 )[1]

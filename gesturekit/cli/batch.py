@@ -5,6 +5,7 @@ A launcher repeats the command elsewhere, with `--shard K/N`.
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -32,10 +33,8 @@ _MINUTES = 24 * 60
 _OUTCOMES = (0, 1, 2, 130)  # exit codes of the command line
 
 
-def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[int, int] | None:
+def _shard(text: str) -> tuple[int, int]:
     """Parse --shard: 1/8 to (1, 8)."""
-    if text is None:
-        return None
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
     if match is None:
         raise click.UsageError(f"--shard {text!r}: expected two numbers, such as 1/8 or 8/8")
@@ -44,9 +43,7 @@ def _shard(ctx: click.Context, _: click.Parameter, text: str | None) -> tuple[in
 
 batch_options = together(
     workers_option,
-    click.option(
-        "--shard", metavar="K/N", callback=_shard, help="Process part K of N, such as 1/8."
-    ),
+    click.option("--shard", metavar="K/N", help="Process part K of N, such as 1/8."),
     click.option(
         "--launcher",
         type=click.Choice(["local", "slurm", "ray"]),
@@ -82,7 +79,7 @@ def pop_execution(ctx: click.Context, out: Path, options: dict[str, Any]) -> tup
     _run_elsewhere(ctx, out, options)
     from gesturekit.jobs.batch import Execution
 
-    shard = options.pop("shard") or (1, 1)
+    shard = _shard(options.pop("shard") or "1/1")
     names = ("workers", "deadline", "retry_failed")
     execution = Execution(shard=shard, **{name: options.pop(name) for name in names})
     return execution, options.pop("dry_run")
@@ -92,31 +89,32 @@ def show(
     work: Batch | Conversion,
     description: str,
     add: Callable[[Result], str | None],
-    stopped: Callable[[], str],
-) -> bool:
-    """Do work with a progress bar.
+    summary: Callable[[], str] | None = None,
+) -> int:
+    """Do work with a progress bar, and return how many inputs failed; a full disk counts as one.
 
     Args:
         work: what to do.
         description: name of the bar.
         add: called with each result, to print it; it may return a text for the bar.
-        stopped: returns the message of Ctrl-C.
-
-    Returns:
-        False if the output folder could no longer be written to, which is printed.
+        summary: returns what was done so far, for the message of Ctrl-C; without it, the number
+            that failed is printed at the end.
     """
     from tqdm.contrib.logging import logging_redirect_tqdm
 
     from gesturekit.errors import OutputError
     from gesturekit.progress import Progress
 
+    errors: list[str | None] = []
+    done = summary or (lambda: f"{len(errors)} done")
     try:
         with (
-            resumable(stopped),
+            resumable(lambda: f"{done()}; the same command continues"),
             logging_redirect_tqdm(tqdm_class=Progress),
             Progress(total=len(work.tasks), desc=description, unit="file") as bar,
         ):
             for result in work.run():
+                errors.append(result.error)
                 with Progress.external_write_mode():
                     text = add(result)
                 if text is not None:
@@ -124,33 +122,17 @@ def show(
                 bar.update()
     except OutputError as error:
         click.echo(f"Error: {error}", err=True)
-        return False
-    return True
-
-
-def show_and_count(
-    work: Batch | Conversion, description: str, add: Callable[[Result], None]
-) -> int:
-    """Do work as `show` does, print how many inputs failed, and return the exit code."""
-    errors: list[str | None] = []
-
-    def add_counted(result: Result) -> None:
-        errors.append(result.error)
-        add(result)
-
-    is_whole = show(
-        work, description, add_counted, lambda: f"{len(errors)} done; the same command continues."
-    )
+        errors.append(str(error))
     failed = len(errors) - errors.count(None)
-    if failed and len(errors) > 1:
+    if summary is None and failed and len(errors) > 1:
         click.echo(f"{failed} of {len(errors)} failed.", err=True)
-    return 1 if failed or not is_whole else 0
+    return failed
 
 
 def print_preview(batch: Batch) -> None:
     """Print what would be done about each sound of a batch, and the sums."""
     from gesturekit.progress import time_in_words
-    from gesturekit.rendering.batch import estimated_cost, preview
+    from gesturekit.rendering.renderer import estimated_cost, preview
     from gesturekit.wording import listed
 
     words = {"left": "make", "kept": "keep", "failed": "fail"}
@@ -240,12 +222,9 @@ def _run_slurm(
     command: ShardCommand, shards: Sequence[str], out: Path, settings: Sequence[str]
 ) -> list[int]:
     """Run each shard as a job of an array, and return the exit codes."""
-    try:
-        import submitit
-    except ImportError:
-        raise _missing("slurm") from None
     from gesturekit.jobs.records import state_folder
 
+    submitit = _imported("submitit", "slurm")
     values: dict[str, Any] = dict(map(_setting, settings))
     folder = state_folder(out) / "slurm"
     try:
@@ -269,10 +248,7 @@ def _run_slurm(
 
 def _run_ray(command: ShardCommand, shards: Sequence[str], address: str | None) -> list[int]:
     """Run the shards as tasks of a Ray cluster, and return the exit codes."""
-    try:
-        import ray
-    except ImportError:
-        raise _missing("ray") from None
+    ray = _imported("ray", "ray")
     try:
         ray.init(address=address, include_dashboard=False, log_to_driver=False)
 
@@ -295,5 +271,8 @@ def _setting(text: str) -> tuple[str, int | str]:
     return name, int(value) if value.isdecimal() else value
 
 
-def _missing(extra: str) -> ConfigError:
-    return ConfigError(f"not installed; run: pip install 'gesturekit[{extra}]'")
+def _imported(name: str, extra: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise ConfigError(f"not installed; run: pip install 'gesturekit[{extra}]'") from None

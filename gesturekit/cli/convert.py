@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
-from gesturekit.cli.batch import batch_options, pop_execution, show_and_count
+from gesturekit.cli.batch import batch_options, pop_execution, show
 from gesturekit.cli.options import (
     PATH,
     RATE,
@@ -120,10 +120,10 @@ def command(
         dry_run=dry_run,
         execution=execution,
     )
-    code = show_and_count(conversion, "Converting", _print)
+    failed = show(conversion, "Converting", _print)
     if dry_run:
         click.echo("Dry run: nothing was written.", err=True)
-    ctx.exit(code)
+    ctx.exit(1 if failed else 0)
 
 
 def _changes(options: dict[str, Any]) -> Changes:

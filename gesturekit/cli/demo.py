@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from gesturekit.cli.options import existing_option, is_left, resumable, seed_option
+from gesturekit.cli.options import FOLDER, existing_option, is_left, resumable, seed_option
 
 
 @click.command("demo", epilog="Example: gesturekit demo --out gesturekit-demo")
 @click.option(
     *("-o", "--out"),
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default=Path("gesturekit-demo"),
     help="Output folder.",
 )
@@ -27,8 +27,7 @@ def command(ctx: click.Context, out: Path, seed: int, existing: str) -> None:
     """
     click.echo("Loading the demo model ...", err=True)
     from audio_features.atomic import atomic_write
-    from gesturekit.rendering.batch import render_batch
-    from gesturekit.rendering.renderer import Output
+    from gesturekit.rendering.renderer import Output, render_batch
     from gesturekit.rendering.summary import faces_in_words
     from gesturekit.systems import bundled_speech, load
 

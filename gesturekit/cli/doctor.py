@@ -6,13 +6,15 @@ from pathlib import Path
 
 import click
 
+from gesturekit.cli.options import PATH
+
 MARKS = {"ok": "ok", "note": "note", "broken": "BROKEN"}
 
 
 @click.command(epilog="Example: gesturekit doctor --weights wavlm-base-plus/")
 @click.option(
     "--weights",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="WavLM weights (folder or file) or Hugging Face speech encoder (folder) to read.",
 )
 def command(weights: Path | None) -> int:

@@ -22,6 +22,9 @@ from gesturekit.cli.evaluate_inputs import (
     trained_on,
 )
 from gesturekit.cli.options import (
+    FILE,
+    FOLDER,
+    PATH,
     SEED,
     GroupedCommand,
     body_option,
@@ -37,9 +40,6 @@ from gesturekit.cli.options import (
 if TYPE_CHECKING:
     from gesturekit.evaluation import Evaluation, Items
 
-_FILE = click.Path(path_type=Path, dir_okay=False)
-_PATH = click.Path(path_type=Path)
-_FOLDER = click.Path(path_type=Path, file_okay=False)
 _FORMS = ("csv", "markdown", "latex", "json", "html")
 """Options that name a file to write."""
 _VARIANTS = ("variant", "threshold", "bas", "kinetic")
@@ -61,7 +61,7 @@ def _choice(flag: str, *names: str, help: str) -> Callable[..., Any]:
     "--compare rendered_without_film --compare other=baseline/rendered",
 )
 @click.argument("generated")
-@click.argument("reference", type=_PATH, required=False)
+@click.argument("reference", type=PATH, required=False)
 @click.argument("surplus", nargs=-1, metavar="")
 @click.option(
     "--compare",
@@ -80,7 +80,7 @@ def _choice(flag: str, *names: str, help: str) -> Callable[..., Any]:
 )
 @click.option(
     "--corpus",
-    type=_PATH,
+    type=PATH,
     metavar="CORPUS.jsonl",
     help="Compare with the items of a manifest instead of REFERENCE and --audio.",
 )
@@ -89,29 +89,29 @@ def _choice(flag: str, *names: str, help: str) -> Callable[..., Any]:
     type=click.Choice(["train", "valid", "test"]),
     help="Split of --corpus to use.  [default: test; train with --protocol multires]",
 )
-@click.option("--audio", type=_PATH, help="Sound of the recordings.")
-@click.option("--semantic", type=_PATH, help="Semantic tracks for SRGR: npz, or BEAT's tables.")
+@click.option("--audio", type=PATH, help="Sound of the recordings.")
+@click.option("--semantic", type=PATH, help="Semantic tracks for SRGR: npz, or BEAT's tables.")
 @click.option(
     "--features",
-    type=_PATH,
+    type=PATH,
     help="Feature extractor for FGD: the folder of gesturekit fit-features, or BEAT2's weight file "
     "(AESKConv_240_100.bin) for motion on the SMPL-X rig.",
 )
 @click.option(
     "--study",
-    type=_PATH,
+    type=PATH,
     metavar="CSV",
     help="Results of a user study on these models (a file or a folder): ratings, with the columns "
     "rater, system, clip, question, value, or votes in the format of gesturekit study. Shows how "
     "well each metric agrees with people's ranking of the models.",
 )
 @take_option("Intervals and tests are over takes.")
-@click.option("-o", "--out", "html", type=_FILE, help="Write an HTML report.")
-@click.option("--json", type=_FILE, help="Write all results as JSON.")
-@click.option("--against", type=_FILE, help="Print the differences from an earlier --json file.")
-@click.option("--csv", type=_FILE, help="Write the table of all metrics as CSV.")
-@click.option("--markdown", type=_FILE, help="Write the table in Markdown.")
-@click.option("--latex", type=_FILE, help="Write the table in LaTeX (booktabs).")
+@click.option("-o", "--out", "html", type=FILE, help="Write an HTML report.")
+@click.option("--json", type=FILE, help="Write all results as JSON.")
+@click.option("--against", type=FILE, help="Print the differences from an earlier --json file.")
+@click.option("--csv", type=FILE, help="Write the table of all metrics as CSV.")
+@click.option("--markdown", type=FILE, help="Write the table in Markdown.")
+@click.option("--latex", type=FILE, help="Write the table in LaTeX (booktabs).")
 @click.option(
     "--protocol",
     type=click.Choice(["multires", "lda"]),
@@ -129,9 +129,8 @@ def _choice(flag: str, *names: str, help: str) -> Callable[..., Any]:
 )
 @click.option(
     "--samples-dir",
-    type=_FOLDER,
+    type=FOLDER,
     default=Path("evaluation_samples"),
-    show_default=True,
     help="Folder for motion sampled from model folders.",
 )
 @weights_option
@@ -163,7 +162,7 @@ def _choice(flag: str, *names: str, help: str) -> Callable[..., Any]:
     help="GENERATED is a folder of recordings (with their sound, or --audio): evaluate known-bad "
     "motion made from them, and print which of it each metric detects.",
 )
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of samples, intervals.")
+@click.option("--seed", type=SEED, default=0, help="Seed of samples, intervals.")
 @click.option(
     "--workers",
     type=click.IntRange(min=1),

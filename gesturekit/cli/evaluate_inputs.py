@@ -182,7 +182,7 @@ def rendered_baselines(
     from gesturekit.evaluation.measuring.made_motion import BASELINES
     from gesturekit.progress import Progress
     from gesturekit.rendering import samples
-    from gesturekit.rendering.batch import model_of_results
+    from gesturekit.rendering.renderer import model_of_results
     from gesturekit.systems import load
 
     names = comma_separated(options["baseline"])
@@ -224,7 +224,7 @@ def rendered_baselines(
 def trained_on(model: ModelResult, name: str) -> str:
     """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
     from gesturekit.evaluation.pairs import ItemInterval
-    from gesturekit.rendering.batch import model_of_results
+    from gesturekit.rendering.renderer import model_of_results
     from gesturekit.systems import model_folder
     from gesturekit.training.origin import is_trained_on, load_sources
 

@@ -9,14 +9,16 @@ import click
 
 from audio_features.kinds import KINDS
 from gesturekit.cli.batch import GROUPS as BATCH_GROUPS
-from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show_and_count
+from gesturekit.cli.batch import batch_options, pop_execution, print_preview, show
 from gesturekit.cli.options import (
     PATH,
     RATE,
     GroupedCommand,
     channel_option,
+    comma_separated,
     device_option,
     existing_option,
+    given,
     output_folder_option,
     weights_option,
 )
@@ -111,7 +113,7 @@ def command(
     if is_dry:
         print_preview(batch)
         return
-    ctx.exit(show_and_count(batch, "Features", _print))
+    ctx.exit(1 if show(batch, "Features", _print) else 0)
 
 
 def _print(result: Result) -> None:
@@ -133,21 +135,21 @@ def _extractor(kinds: str, options: dict[str, Any]) -> Extractor:
     from audio_features.kinds import installed_kinds
 
     weights, device = options.pop("weights"), options.pop("device")
-    given = {name: value for name, value in options.items() if value is not None}
-    if "layer" in given:
-        given["layer"] = _layer(given["layer"])
+    chosen = given(**options)
+    if "layer" in chosen:
+        chosen["layer"] = _layer(chosen["layer"])
 
     specs = []
-    for item in filter(None, map(str.strip, kinds.split(","))):
+    for item in comma_separated(kinds):
         kind, _, value = item.partition(":")
         kinds_here = [*KINDS, *installed_kinds()]
         if kind not in kinds_here or (value and (kind not in KINDS or not KINDS[kind].argument)):
             raise click.UsageError(f"--extractor {item!r}: one or more of {', '.join(kinds_here)}")
         argument = {KINDS[kind].argument or "": _number(value)} if value else {}
-        own = {name: given[name] for name in given if kind in _APPLY_TO.get(name, ())}
+        own = {name: chosen[name] for name in chosen if kind in _APPLY_TO.get(name, ())}
         specs.append({"kind": kind, **argument, **own})
     named = {spec["kind"] for spec in specs}
-    for name in [*(["weights"] if weights is not None else []), *given]:
+    for name in [*(["weights"] if weights is not None else []), *chosen]:
         if named.isdisjoint(_APPLY_TO[name]):
             option, network = name.replace("_", "-"), " or ".join(_APPLY_TO[name])
             raise click.UsageError(f"--{option} requires --extractor {network}")

@@ -10,6 +10,7 @@ import click
 from gesturekit.cli.options import (
     FILE,
     PATH,
+    comma_separated,
     existing_option,
     is_left,
     output_folder_option,
@@ -68,7 +69,7 @@ def command(
     sample, is_complete = _read(reference, options["seed"])
     names: str | list[str] | None = joints
     if joints is not None and joints not in ("body", "upper"):
-        names = [name.strip() for name in joints.split(",") if name.strip()]
+        names = comma_separated(joints)
     if options["weights"] is not None:
         model = FeatureModel.of_weights(sample.motions, options["weights"], joints=names)
     else:

@@ -53,7 +53,7 @@ def command(
 
     Exit codes: 0 complete; 1 files are missing or wrong, as listed; 2 nothing could be started.
     """
-    from gesturekit.cli.batch import show_and_count
+    from gesturekit.cli.batch import show
     from gesturekit.rendering.genea import RIGS, check, export, published_sounds
     from gesturekit.systems import load
     from gesturekit.wording import counted
@@ -64,7 +64,7 @@ def command(
             raise click.UsageError(f"export: {ModelName().get_missing_message()}")
         loaded = load(model, weights=options.pop("weights"))
         batch = export(loaded, folder, out, layout=layout, samples=samples, **options)
-        show_and_count(batch, "Rendering", lambda result: None)
+        show(batch, "Rendering", lambda result: None)
     faults = check(out, sounds, RIGS[layout], samples)
     for fault in faults:
         click.echo(f"Failed: {fault}", err=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import FILE, existing_option, is_left
+from gesturekit.cli.options import FILE, FOLDER, existing_option, is_left
 from gesturekit.wording import counted, printable
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ _MOST_REASONS = 12
 
 
 @click.command("jobs", epilog="Example: gesturekit jobs rendered")
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("out", type=FOLDER)
 @click.option("--failed", is_flag=True, help="List the items that failed, with their reasons.")
 @click.option("--left", is_flag=True, help="List the items that are not done yet.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
@@ -42,7 +42,7 @@ def command(
         _print(status, out)
     if failed:
         for item in status.failed:
-            click.echo(printable(f"failed {item.attempts}x  {item.id}: {item.error}"))
+            click.echo(printable(f"failed {item.failures}x  {item.id}: {item.error}"))
     if left:
         for name in status.left:
             click.echo(printable(f"left  {name}"))
@@ -90,8 +90,11 @@ def _print(status: Status, out: Path) -> None:
 
 
 def _as_json(status: Status) -> str:
-    import dataclasses
     import json
 
-    values = dataclasses.asdict(status) | {"seconds_left": status.seconds_left}
+    failed = [
+        {"id": item.id, "error": str(item.error), "attempts": item.failures}
+        for item in status.failed
+    ]
+    values = vars(status) | {"failed": failed, "seconds_left": status.seconds_left}
     return json.dumps(values, indent=1)

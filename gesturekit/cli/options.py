@@ -17,6 +17,7 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 RATE = click.FloatRange(min=0, min_open=True, max=1000)
 SEED = click.IntRange(0, 2**63 - 1)
 """Seeds that every random generator takes."""

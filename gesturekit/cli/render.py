@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,8 +38,9 @@ from gesturekit.model import Control, Controls, control_entries
 from gesturekit.systems import SYSTEMS, control_docs, controls_type
 
 if TYPE_CHECKING:
+    from gesturekit.corpus.manifest import Item
     from gesturekit.jobs.batch import Batch
-    from gesturekit.jobs.result import Result
+    from gesturekit.jobs.result import Result, Task
     from gesturekit.model import Model
     from gesturekit.rendering.renderer import Output
 
@@ -203,15 +204,18 @@ def command(
     """
     import logging
 
-    summary = _Summary(out, options["samples"])
+    begin = time.monotonic()
     logging.basicConfig(format="Warning: %(message)s")
     _check(sources, corpus, split, seconds, options)
 
-    from gesturekit.corpus import Manifest
-    from gesturekit.rendering.batch import render_batch
+    from gesturekit.rendering.renderer import render_batch
     from gesturekit.systems import load
 
-    items = () if corpus is None else Manifest.load(corpus).in_split(split or "test", str(corpus))
+    items: Sequence[Item] = ()
+    if corpus is not None:
+        from gesturekit.corpus.manifest import Manifest
+
+        items = Manifest.load(corpus).in_split(split or "test", str(corpus))
     execution, is_dry = pop_execution(ctx, out, options)
     output = _output(options)  # before the model, which takes seconds to load
     names = ("weights", "device", "dtype")
@@ -228,11 +232,11 @@ def command(
         channel=options.pop("channel"),
         **chosen_controls(options, open_model),
     )
-    _warn_of_speakers(loaded, batch)
+    _warn_of_speakers(loaded.speakers, options["speaker"], batch.tasks)
     if is_dry:
         print_preview(batch)
         return
-    ctx.exit(_run(batch, summary, None if is_rate_chosen else loaded.fps))
+    ctx.exit(_run(batch, begin, None if is_rate_chosen else loaded.fps))
 
 
 def _check(
@@ -249,32 +253,65 @@ def _check(
     """
     starts = ("keyframes", "like", "path", "keep")
     named = [f"--{name}" for name in starts if options[name] is not None]
-    if len(named) > 1:
-        raise click.UsageError(f"{' and '.join(named)} cannot be combined: give one.")
-    if options["keyframe_level"] is not None and not {"--keyframes", "--like"} & {*named}:
-        raise click.UsageError("--keyframe-level requires --keyframes or --like.")
-    if options["change"] is not None and options["like"] is None:
-        raise click.UsageError("--change requires --like.")
-    if options["rig_parts"] and options["rig"] is None:
-        raise click.UsageError("--rig-part requires --rig.")
-    if corpus is None and split is not None:
-        raise click.UsageError("--split requires --corpus.")
-    if corpus is not None:
-        if sources or seconds is not None or options["channel"] is not None:
-            raise click.UsageError("--corpus sets the sounds: no WAV, --seconds, --channel.")
-        return
-    if not sources and seconds is None and not named:
-        raise click.UsageError("Give audio files, --corpus, or --seconds for an idle motion.")
-    if sources and seconds is not None:
-        raise click.UsageError("--seconds is for motion without audio, which sets it.")
+    is_coarse = options["keyframe_level"] is not None and not {"--keyframes", "--like"} & {*named}
+    has_sound = bool(sources) or corpus is not None
+    is_set_twice = bool(sources) or seconds is not None or options["channel"] is not None
+    problems = (
+        (len(named) > 1, f"{' and '.join(named)} cannot be combined: give one."),
+        (is_coarse, "--keyframe-level requires --keyframes or --like."),
+        (options["change"] is not None and options["like"] is None, "--change requires --like."),
+        (options["rig_parts"] and options["rig"] is None, "--rig-part requires --rig."),
+        (corpus is None and split is not None, "--split requires --corpus."),
+        (corpus and is_set_twice, "--corpus sets the sounds: no WAV, --seconds, --channel."),
+        (
+            not (has_sound or named) and seconds is None,
+            "Give audio files, --corpus, or --seconds for an idle motion.",
+        ),
+        (sources and seconds is not None, "--seconds is for motion without audio, which sets it."),
+    )
+    for is_wrong, text in problems:
+        if is_wrong:
+            raise click.UsageError(text)
 
 
-def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
-    """Do the work, print what comes of it, and return the exit code."""
-    add, stopped = partial(summary.add, rate=rate), lambda: f"{summary}; the same command continues"
-    if not show(batch, "Rendering", add, stopped):
-        summary.counts["failed"] += 1
-    if len(batch.tasks) >= _MANY and summary.counts["rendered"]:
+def _run(batch: Batch, begin: float, rate: float | None) -> int:
+    """Do the work, print what comes of it, and return the exit code.
+
+    Args:
+        batch: the work.
+        begin: time of the monotonic clock from which the speed is counted.
+        rate: frames per second of the model; None if they do not matter.
+    """
+    from gesturekit.progress import time_in_words
+
+    counts, samples = {"rendered": 0, "kept": 0, "failed": 0}, batch.processor.samples
+    sound = 0.0
+
+    def add(result: Result) -> str:
+        """Print the files or the failure of a result, and return the speed so far."""
+        nonlocal rate, sound
+        for file in result.files:
+            click.echo(click.format_filename(file))
+        fps = result.facts.get("fps")
+        if rate is not None and fps is not None and abs(fps - rate) > 0.01 * rate:
+            text = f"Written at {fps:g} fps; the model's own rate is {rate:g} fps (--fps sets it)."
+            click.echo(text, err=True)
+            rate = None  # it is said once
+        if result.error is not None:
+            click.echo(f"Failed: {result.error}", err=True)
+        done = "rendered" if result.files else "kept"
+        counts["failed" if result.error is not None else done] += 1
+        sound += result.sound
+        factor = sound / max(time.monotonic() - begin, 1e-3)
+        return f"{sound / 3600:.2f} h of sound, {factor:.1f}x real time"
+
+    def summary() -> str:
+        parts = [f"{n} {what}" for what, n in counts.items() if n or what == "rendered"]
+        parts[0] += f" ({samples * counts['rendered']} motions)" if samples > 1 else ""
+        return f"{', '.join(parts)} in {time_in_words(time.monotonic() - begin)}: {batch.out}"
+
+    counts["failed"] = show(batch, "Rendering", add, summary)
+    if len(batch.tasks) >= _MANY and counts["rendered"]:
         _write_page(batch)
     if "face" in batch.processor.settings:
         from gesturekit.jobs.records import all_records
@@ -282,69 +319,20 @@ def _run(batch: Batch, summary: _Summary, rate: float | None) -> int:
 
         if faces := faces_in_words(all_records(batch.state)):
             click.echo(faces, err=True)
-    click.echo(summary, err=True)
-    return 1 if summary.counts["failed"] else 0
+    click.echo(summary(), err=True)
+    return 1 if counts["failed"] else 0
 
 
-class _Summary:
-    """Count and print the results of a run with `samples` motions for each input."""
-
-    def __init__(self, out: Path, samples: int) -> None:
-        self.counts = {"rendered": 0, "kept": 0, "failed": 0}
-        self._out, self._samples, self._begin = out, samples, time.monotonic()
-        self._has_named_rate = False
-        self._sound = 0.0
-
-    def _speed(self) -> str:
-        """Return the rendered sound and how many times faster than real time that was."""
-        factor = self._sound / max(time.monotonic() - self._begin, 1e-3)
-        return f"{self._sound / 3600:.2f} h of sound, {factor:.1f}x real time"
-
-    def add(self, result: Result, rate: float | None) -> str:
-        """Print the files or the failure of a result, and once that its frame rate differs.
-
-        Args:
-            result: one input's.
-            rate: frames per second of the model; None if they do not matter.
-
-        Returns:
-            the speed so far, for a progress bar.
-        """
-        for file in result.files:
-            click.echo(click.format_filename(file))
-        fps = result.facts.get("fps")
-        differs = fps is not None and rate is not None and abs(fps - rate) > 0.01 * rate
-        if differs and not self._has_named_rate:
-            text = f"Written at {fps:g} fps; the model's own rate is {rate:g} fps (--fps sets it)."
-            click.echo(text, err=True)
-            self._has_named_rate = True
-        if result.error is not None:
-            click.echo(f"Failed: {result.error}", err=True)
-        self._sound += result.sound
-        done = "rendered" if result.files else "kept"
-        self.counts["failed" if result.error is not None else done] += 1
-        return self._speed()
-
-    def __str__(self) -> str:
-        from gesturekit.progress import time_in_words
-
-        parts = [f"{n} {what}" for what, n in self.counts.items() if n or what == "rendered"]
-        if self._samples > 1:
-            parts[0] += f" ({self._samples * self.counts['rendered']} motions)"
-        return f"{', '.join(parts)} in {time_in_words(time.monotonic() - self._begin)}: {self._out}"
-
-
-def _warn_of_speakers(model: Model, batch: Batch) -> None:
+def _warn_of_speakers(speakers: Collection[str], given: str | None, tasks: Sequence[Task]) -> None:
     """Print whose gestures a model of several speakers makes if none of them is chosen."""
-    from gesturekit.rendering.renderer import Renderer
     from gesturekit.wording import listed
 
-    renderer = batch.processor
-    if isinstance(renderer, Renderer) and all(map(renderer.has_speaker, batch.tasks)):
+    items = (task.more.get("item") for task in tasks)
+    own = (task.more.get("speaker", item and item.speaker) for task, item in zip(tasks, items))
+    if len(speakers) < 2 or given in speakers or all(name in speakers for name in own):
         return
-
-    text = f"the model has {len(model.speakers)} speakers, and gestures are those of all of them"
-    click.echo(f"Warning: {text}: --speaker ({listed(sorted(model.speakers))})", err=True)
+    text = f"the model has {len(speakers)} speakers, and gestures are those of all of them"
+    click.echo(f"Warning: {text}: --speaker ({listed(sorted(speakers))})", err=True)
 
 
 def _write_page(batch: Batch) -> None:
@@ -370,10 +358,10 @@ def _output(options: dict[str, Any]) -> Output:
     from gesturekit.motion.parts import parse_parts
     from gesturekit.rendering.renderer import Output
 
-    rig, parts = options.pop("rig"), parse_parts(options.pop("rig_parts"))
+    rig, parts = options.pop("rig"), options.pop("rig_parts")
     return Output(
         formats=options.pop("formats"),
-        rig=None if rig is None else Rig.load(rig, parts),
+        rig=None if rig is None else Rig.load(rig, parse_parts(parts)),
         **{name: options.pop(name) for name in _WRITTEN},
     )
 

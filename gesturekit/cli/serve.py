@@ -15,9 +15,9 @@ from gesturekit.errors import ConfigError
 @click.command("serve", epilog="Example: gesturekit serve --model demo")
 @model_option
 @service_options(8000)
-@click.option("--max-mb", default=64.0, help="Largest sound file, in MB.")
-@click.option("--max-seconds", default=600.0, help="Longest sound, in seconds.")
-@click.option("--max-frames", default=36_000.0, help="Longest motion: seconds times fps.")
+@click.option("--max-mb", "megabytes", default=64.0, help="Largest sound file, in MB.")
+@click.option("--max-seconds", "seconds", default=600.0, help="Longest sound, in seconds.")
+@click.option("--max-frames", "frames", default=36_000.0, help="Longest motion: seconds times fps.")
 @click.option("--queue", default=16, help="Requests that may wait; more are refused.")
 @click.option("--workers", type=click.IntRange(1, 64), default=1, help="Motions made in parallel.")
 @weights_option
@@ -30,7 +30,7 @@ def command(
     token_file: Path | None,
     weights: Path | dict[str, Path] | None,
     device: str,
-    **limits: float,
+    **limits: Any,
 ) -> None:
     """Serve a model over HTTP: POST a sound, get BVH, npz or a page that plays the motion.
 
@@ -47,9 +47,7 @@ def command(
         raise ConfigError(f"{error.name} is not installed; run: {how}") from None
     from gesturekit.systems import load
 
-    renamed = {"max_mb": "megabytes", "max_seconds": "seconds", "max_frames": "frames"}
-    given: dict[str, Any] = {renamed.get(name, name): value for name, value in limits.items()}
-    bounds = Limits(**given)
+    bounds = Limits(**limits)
     listening, url, hosts, token = listen(host, port, names, token_file)
     loaded = load(model, weights=weights, device=device)
     app = create_app(loaded, bounds, token=token, hosts=hosts)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gesturekit.cli.options import SEED, existing_option, is_left
+from gesturekit.cli.options import FILE, FOLDER, PATH, SEED, existing_option, is_left
 from gesturekit.wording import counted
 
 if TYPE_CHECKING:
@@ -25,15 +25,10 @@ def command() -> None:
 
 
 @command.command("build", epilog="Example: gesturekit study build study.yaml --out study")
-@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("config", type=PATH)
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("study"),
-    show_default=True,
-    help="Folder for index.html and its clips.",
+    "-o", "--out", type=FOLDER, default=Path("study"), help="Folder for index.html and its clips."
 )
 @click.option(
     "--show", is_flag=True, help="Print every setting with its value and description, and exit."
@@ -73,34 +68,35 @@ def build(config: Path, overrides: tuple[str, ...], out: Path, show: bool, exist
 
 @command.command("power", epilog="Example: gesturekit study power --win-rate 0.6 --systems 3")
 @click.option(
-    "--win-rate", type=float, default=0.6, show_default=True,
+    "--win-rate",
+    default=0.6,
     help="Expected share of preferences for the better system, ties excluded.",
-)  # fmt: skip
-@click.option("--ties", type=float, default=0.2, show_default=True, help="Expected share of ties.")
+)
+@click.option("--ties", default=0.2, help="Expected share of ties.")
 @click.option(
-    "--clear", type=float, default=0.4, show_default=True,
-    help="Expected share of preferences that are clear rather than slight.",
-)  # fmt: skip
+    "--clear", default=0.4, help="Expected share of preferences that are clear rather than slight."
+)
 @click.option(
-    "--rater-share", type=float, default=0.05, show_default=True,
+    "--rater-share",
+    default=0.05,
     help="Expected share of raters in the variance of answers (intraclass correlation).",
-)  # fmt: skip
+)
 @click.option(
-    "--clip-share", type=float, default=0.1, show_default=True,
+    "--clip-share",
+    default=0.1,
     help="Expected share of clips in it: measured on 18,000 ratings of a challenge, 0.1 for "
     "human-likeness and 0.17 for appropriateness.",
-)  # fmt: skip
-@click.option(
-    "--clips", type=click.IntRange(min=2), default=60, show_default=True,
-    help="Speech segments of the study.",
-)  # fmt: skip
-@click.option(
-    "--systems", type=click.IntRange(min=2), default=2, show_default=True,
-    help="Systems in the study; all pairs are tested, adjusted by Holm's method.",
-)  # fmt: skip
-@click.option(
-    "--power", type=float, default=0.8, show_default=True, help="Statistical power to reach."
 )
+@click.option(
+    "--clips", type=click.IntRange(min=2), default=60, help="Speech segments of the study."
+)
+@click.option(
+    "--systems",
+    type=click.IntRange(min=2),
+    default=2,
+    help="Systems in the study; all pairs are tested, adjusted by Holm's method.",
+)
+@click.option("--power", default=0.8, help="Statistical power to reach.")
 def power(
     win_rate: float,
     ties: float,
@@ -140,37 +136,24 @@ def power(
 @command.command(
     "analyse", epilog="Example: gesturekit study analyse answers/*.csv --out report.html"
 )
-@click.argument(
-    "answers", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="CSV..."
-)
+@click.argument("answers", nargs=-1, required=True, type=PATH, metavar="CSV...")
 @click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="HTML",
-    help="Write a report with tables and plots.",
+    "-o", "--out", type=FILE, metavar="HTML", help="Write a report with tables and plots."
 )
-@click.option(
-    "--json",
-    "json_out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write all results as JSON.",
-)
+@click.option("--json", "json_out", type=FILE, help="Write all results as JSON.")
 @click.option(
     "--failed-checks",
     type=click.IntRange(min=0),
     default=1,
-    show_default=True,
     help="Exclude raters who failed this many attention checks; 0 excludes nobody.",
 )
 @click.option(
     "--rounds",
     type=click.IntRange(min=1, max=1_000_000),
     default=10_000,
-    show_default=True,
     help="Rounds of the bootstrap over raters and clips.",
 )
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the bootstrap.")
+@click.option("--seed", type=SEED, default=0, help="Seed of the bootstrap.")
 @existing_option("refuse")
 def analyse(
     answers: tuple[Path, ...],

@@ -82,7 +82,7 @@ def command(
         curves = shlex.join(["tensorboard", "--logdir", str(run / "events")])
     click.echo(f"Curves: {curves}")
     click.echo(f"Model: {model}")
-    for line in (*_next_steps(model), *_verdict(model)):
+    for line in _next_steps(model):
         click.echo(line)
 
 
@@ -129,12 +129,16 @@ def _show(settings: Sequence[Setting]) -> None:
 
 
 def _next_steps(model: Path) -> list[str]:
-    """Return the commands that render with a model and evaluate it on held-out speech."""
+    """Return the commands that render with a model and evaluate it on held-out speech.
+
+    The last line is what the model's README says of held-out recordings, if anything.
+    """
     import shlex
 
     from audio_features.extractor import needs_of
     from gesturekit.corpus import Manifest
     from gesturekit.errors import CorpusError
+    from gesturekit.inspection.model import readme_notes
     from gesturekit.training.config import read_yaml
 
     config, run = read_yaml(model / "config.yaml"), read_yaml(model.parent / "config.yaml")
@@ -162,15 +166,9 @@ def _next_steps(model: Path) -> list[str]:
             f"Held-out speech: {shlex.join([*start, *split, *end])}",
             f"Evaluate with: {shlex.join(['gesturekit', 'evaluate', 'rendered', *split])}",
         ]
+    if measured := readme_notes(model / "README.md").get("Measured"):
+        lines.append(f"Measured {measured}")
     return lines
-
-
-def _verdict(model: Path) -> list[str]:
-    """Return the last line: what the model's README says of held-out recordings, if anything."""
-    from gesturekit.inspection.model import readme_notes
-
-    measured = readme_notes(model / "README.md").get("Measured")
-    return [f"Measured {measured}"] if measured else []
 
 
 def _weights_arguments(features: Mapping[str, Any]) -> list[str]:

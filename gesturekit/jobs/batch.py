@@ -23,7 +23,7 @@ from gesturekit.jobs.records import (
 )
 from gesturekit.jobs.result import Processor, Result, Task, digest_of, file_facts, path_digest
 from gesturekit.wording import listed
-from gesturekit.workers import ATTEMPTS, Failure, in_processes
+from gesturekit.workers import Failure, in_processes
 
 EXISTING = ("refuse", "skip", "replace")
 """Treatments of existing files that were made with other settings or another input."""
@@ -158,7 +158,7 @@ class Batch:
             elif processor.existing == "refuse":
                 names = {**was, **made_with} if isinstance(was, dict) else {}
                 result.refused[file] = [n for n in names if was.get(n) != made_with.get(n)]
-        is_aside = result.failures >= ATTEMPTS and result.key == processor.key(about)
+        is_aside = result.is_aside and result.key == processor.key(about)
         return is_aside and not self.execution.retry_failed
 
     def _refuse(self) -> None:

@@ -29,7 +29,6 @@ from filelock import FileLock, Timeout
 from audio_features.atomic import atomic_write, write_text
 from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.result import Result, Task
-from gesturekit.workers import ATTEMPTS
 
 STATE = ".gesturekit"
 """Name of the folder of state in an output folder."""
@@ -229,12 +228,11 @@ def _record_of(state: Path, name: str) -> Path:
 
 def _result(task: Task, values: dict[str, Any]) -> Result | None:
     """Return the result of a record; None if a value is missing or has a wrong type."""
-    for name, kind in _STORED.items():
-        if not isinstance(values.get(name), kind):
-            return None
-    for about in (*values["made"].values(), *values["begun"].values()):
-        if not isinstance(about, dict):
-            return None
+    if not all(isinstance(values.get(name), kind) for name, kind in _STORED.items()):
+        return None
+    abouts = (*values["made"].values(), *values["begun"].values())
+    if not all(isinstance(about, dict) for about in abouts):
+        return None
     return Result(task, **{name: values[name] for name in _STORED})
 
 
@@ -265,20 +263,6 @@ WINDOW = 600.0
 _NUMBER = re.compile(r"(?<![A-Za-z\d])\d+([.,]\d+)*")
 
 
-@dataclass(frozen=True, slots=True)
-class FailedItem:
-    """An item whose last attempt failed."""
-
-    id: str
-    error: str
-    attempts: int
-
-    @property
-    def is_aside(self) -> bool:
-        """True if it is put aside."""
-        return self.attempts >= ATTEMPTS
-
-
 @dataclass(frozen=True)
 class Status:
     """State of the work in a folder.
@@ -287,7 +271,7 @@ class Status:
         items: number of items of the latest run.
         done: number of them that are done.
         sound: seconds of sound of all results.
-        failed: items that failed.
+        failed: results of the items that failed.
         left: ids of the items that are neither done nor failed.
         earlier: number of items that were done and are not in the latest run.
         shards: (number of items, number done or failed) of each shard.
@@ -300,7 +284,7 @@ class Status:
     items: int
     done: int
     sound: float
-    failed: list[FailedItem]
+    failed: list[Result]
     left: list[str]
     earlier: int
     shards: list[list[int]]
@@ -345,7 +329,7 @@ def status_of(out: Path) -> Status:
     listed = read_items(state)
     if listed is None:
         raise ConfigError(f"{out}: no work was done in it; give the --out of a batch")
-    outcomes: dict[str, FailedItem | None] = {}  # None for an item that is done
+    outcomes: dict[str, Result | None] = {}  # None for an item that is done
     in_hand: list[str] = []
     times: list[tuple[float, float, float]] = []
     for result in all_records(state):
@@ -353,7 +337,7 @@ def status_of(out: Path) -> Status:
             outcomes[result.id] = None
             times.append((result.time, result.seconds, result.sound))
         elif result.status in ("failed", "lost"):
-            outcomes[result.id] = FailedItem(result.id, str(result.error), result.failures)
+            outcomes[result.id] = result
         elif result.status == "begun":
             in_hand.append(result.id)
     done, failed, left = 0, [], []
@@ -396,7 +380,7 @@ def _speed(results: list[tuple[float, float, float]]) -> tuple[float, float]:
     return float(60 * recent.sum() / span), float(sounds[recent].sum() / span)
 
 
-def _without_name(item: FailedItem) -> str:
+def _without_name(item: Result) -> str:
     """Return the reason of a failure without the name of the item, and paths that have it."""
     name = re.escape(item.id.rpartition("/")[2])
-    return re.sub(rf"\S*(/{name}|{name}\.)\S*", "...", item.error).removeprefix("... ")
+    return re.sub(rf"\S*(/{name}|{name}\.)\S*", "...", str(item.error)).removeprefix("... ")

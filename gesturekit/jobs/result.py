@@ -18,6 +18,7 @@ from typing import Any, Self
 import numpy as np
 
 from gesturekit.errors import AudioFeaturesError, GestureKitError, is_full
+from gesturekit.workers import ATTEMPTS
 
 # torch raises RuntimeError when memory runs out.
 _FAILURES = (GestureKitError, AudioFeaturesError, OSError, MemoryError, RuntimeError)
@@ -109,6 +110,11 @@ class Result:
     def source(self) -> str:
         """Name of the input in messages."""
         return self.task.source
+
+    @property
+    def is_aside(self) -> bool:
+        """True if it failed too often to be tried again with the same settings and input."""
+        return self.failures >= ATTEMPTS
 
 
 class Processor(ABC):

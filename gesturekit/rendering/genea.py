@@ -18,8 +18,7 @@ from gesturekit.errors import CorpusError, GestureKitError
 from gesturekit.jobs.batch import Batch, Execution
 from gesturekit.model import Model
 from gesturekit.motion.motion import Motion
-from gesturekit.rendering.batch import render_batch
-from gesturekit.rendering.renderer import Output
+from gesturekit.rendering.renderer import Output, render_batch
 from gesturekit.wording import did_you_mean
 
 RIGS = {"beat2": "smplx", "seamless": "smplh"}

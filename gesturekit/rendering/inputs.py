@@ -25,6 +25,7 @@ import logging
 import math
 import os
 from collections.abc import Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -227,12 +228,7 @@ def _matches_of_glob(pattern: str) -> Iterator[Task]:
     Raises:
         ConfigError: it matches no sound.
     """
-    fixed = []
-    for part in Path(pattern).parts[:-1]:
-        if glob.has_magic(part):
-            break
-        fixed.append(part)
-    base = Path(*fixed)
+    base = Path(*takewhile(lambda part: not glob.has_magic(part), Path(pattern).parts[:-1]))
     paths = (Path(path) for path in sorted(glob.glob(pattern, recursive=True)))  # noqa: PTH207
     sounds = [path for path in paths if path.suffix.lower() in SPEECH_SUFFIXES and path.is_file()]
     if not sounds:
@@ -299,26 +295,33 @@ def _scp_line(line: str, where: str) -> tuple[str, str]:
 
 def _json_line(line: str, where: str) -> tuple[str | None, str | None, dict[str, Any]]:
     try:
-        values = json.loads(line)
+        values: Any = json.loads(line)
     except (ValueError, RecursionError):
         values = None
+    if problem := next(_problems(values, line), None):
+        raise ConfigError(f"{where}: {problem}")
+    return values.pop("audio", None), values.pop("id", None), values
+
+
+def _problems(values: Any, line: str) -> Iterator[str]:
+    """Yield what is wrong with the content of a line of NAME.jsonl."""
     if not isinstance(values, dict):
-        raise ConfigError(f"{where}: not a JSON object: {line[:80]}")
+        yield f"not a JSON object: {line[:80]}"
+        return
     if "schema" in values:
-        raise ConfigError(f"{where}: a manifest of `prepare`; give it with --corpus")
+        yield "a manifest of `prepare`; give it with --corpus"
     for name, value in values.items():
         if name not in FIELDS:
-            raise ConfigError(f"{where}: unknown field {name!r}; known: {', '.join(FIELDS)}")
+            yield f"unknown field {name!r}; known: {', '.join(FIELDS)}"
+            return
         is_valid = isinstance(value, FIELDS[name]) and not isinstance(value, bool)
         if is_valid and str not in FIELDS[name]:
             most = _MAX_SECONDS if float in FIELDS[name] else value
             is_valid = 0 <= value <= most and bool(value or name in ("seed", "start"))
         if not is_valid:
-            raise ConfigError(f"{where}: {name} is {json.dumps(value)[:80]}")
-    audio, name = values.pop("audio", None), values.pop("id", None)
-    if audio is None and not (name and "seconds" in values):
-        raise ConfigError(f"{where}: give audio, or id and seconds for a motion without sound")
-    return audio, name, values
+            yield f"{name} is {json.dumps(value)[:80]}"
+    if values.get("audio") is None and not (values.get("id") and "seconds" in values):
+        yield "give audio, or id and seconds for a motion without sound"
 
 
 def _name_of(audio: str) -> str:

@@ -14,6 +14,7 @@ import logging
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -165,9 +166,7 @@ def train_retrieval(corpus: Path, folder: Path, *, seed: int) -> Path:
     from gesturekit.systems import train
     from gesturekit.training.trainer import silently
 
-    def run() -> Path:
-        return train(RETRIEVAL, corpus=str(corpus), out=str(folder), seed=seed)
-
+    run = partial(train, RETRIEVAL, corpus=str(corpus), out=str(folder), seed=seed)
     return silently(run, logging.WARNING)
 
 

@@ -115,8 +115,8 @@ def _failures(status: Status) -> Iterator[str]:
     yield "</table>\n<details><summary>Each item</summary><table>"
     for item in status.failed[:_SHOWN_FAILURES]:
         aside = ", put aside" if item.is_aside else ""
-        name, error = (html.escape(printable(text)) for text in (item.id, item.error))
-        yield f"<tr><td>{name}</td><td>{error} ({item.attempts}x{aside})</td></tr>"
+        name, error = (html.escape(printable(str(text))) for text in (item.id, item.error))
+        yield f"<tr><td>{name}</td><td>{error} ({item.failures}x{aside})</td></tr>"
     yield "</table></details>"
     if len(status.failed) > _SHOWN_FAILURES:
         yield f"<p>and {len(status.failed) - _SHOWN_FAILURES} more: gesturekit jobs --failed</p>"

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -104,7 +105,9 @@ def model_digest(
     digest = hashlib.sha256(json.dumps(rig).encode())
     digest.update(dump_yaml({"format": FORMAT, **config}).encode())
     for name, tensor in sorted(tensors.items()):
-        values = tensor.detach().cpu().contiguous()
+        # Half precision, in which a bundled model is stored, is read as single.
+        values = tensor.float() if tensor.dtype == torch.half else tensor
+        values = values.detach().cpu().contiguous()
         digest.update(f"{name} {values.dtype} {tuple(values.shape)}".encode())
         digest.update(values.reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()
@@ -261,8 +264,14 @@ class TrainedModel(ABC):
         """Return the state of movement (C, T) of motion vectors, in their own units."""
 
     def fingerprint(self) -> str:
-        """Return the SHA-256 of what `save` writes, its README apart."""
-        return model_digest(*self.parts())
+        """Return the SHA-256 of what `save` writes, its README apart.
+
+        That of a loaded model is of what was read and of the weights in memory: of changes in
+        place, those of other arrays are not seen.
+        """
+        if (read := _READ.get(self)) is None:
+            return model_digest(*self.parts())
+        return model_digest(read.config, read.rig, read.tensors | self._weights())
 
     def save(self, folder: str | Path, *, notes: Mapping[str, str] | None = None) -> None:
         """Write the model folder: config.yaml, skeleton.json, model.safetensors, README.md."""
@@ -283,11 +292,14 @@ class TrainedModel(ABC):
             "recorded_fps": self.recorded_fps,
             "joints": list(self.representation.joints),
         }
-        network = self.network.state_dict().items()
-        tensors = {f"network.{name}": value.contiguous() for name, value in network}
-        tensors |= fitted_tensors(self.normaliser, self.conditions.conditioner, self.state_process)
+        fitted = fitted_tensors(self.normaliser, self.conditions.conditioner, self.state_process)
         config, further = self._contents()
-        return first | config, rig_values(self.representation, self.speakers), tensors | further
+        tensors = self._weights() | fitted | further
+        return first | config, rig_values(self.representation, self.speakers), tensors
+
+    def _weights(self) -> dict[str, Tensor]:
+        network = self.network.state_dict().items()
+        return {f"network.{name}": value.contiguous() for name, value in network}
 
     @abstractmethod
     def _contents(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -380,6 +392,8 @@ class TrainedModel(ABC):
                 "%s: %s of the rig cannot be identified: %sthe upper body is not smoothed",
                 *(folder, missing, locked),
             )
+        others = {n: value for n, value in parts.tensors.items() if not n.startswith("network.")}
+        _READ[model] = replace(parts, tensors=others)
         return model
 
     @classmethod
@@ -395,6 +409,10 @@ class TrainedModel(ABC):
 
         Raises KeyError, TypeError, ValueError or RuntimeError for a damaged folder.
         """
+
+
+_READ: WeakKeyDictionary[TrainedModel, ModelParts] = WeakKeyDictionary()
+"""What loaded models were read from, without their weights; a copy of a model has no entry."""
 
 
 def fitted_tensors(

@@ -7,7 +7,7 @@ from typing import Any
 
 from gesturekit.jobs.records import STATE, Status, all_records
 from gesturekit.jobs.result import Result
-from gesturekit.rendering.batch import render_batch
+from gesturekit.rendering.renderer import render_batch
 
 
 def render(*arguments: Any, **settings: Any) -> Iterator[Result]:

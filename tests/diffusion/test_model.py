@@ -217,6 +217,7 @@ def test_half_precision_moves_alike_and_keeps_the_weights(model, tmp_path):
     model.save(tmp_path / "model")
     short = gk.load(tmp_path / "model", dtype="bf16")
     assert all(value.dtype == torch.bfloat16 for value in short.network.parameters())
+    assert short.fingerprint() != gk.load(tmp_path / "model").fingerprint() == model.fingerprint()
     asked = QUICK | {"style": "old", "solver": "ancestral", "foot_lock": False}
     exact, near = (m.generate(**asked).positions() for m in (model, short))
     other = model.generate(**asked, seed=1).positions()

@@ -23,7 +23,7 @@ NEEDS = {
     "features": ("gesturekit.rendering.features",),
     "convert": ("gesturekit.conversion", "gesturekit.viewer"),
     "prepare": ("gesturekit.corpus",),
-    "render": ("gesturekit.rendering.batch", "gesturekit.viewer", *TRAINERS),
+    "render": ("gesturekit.rendering.renderer", "gesturekit.viewer", *TRAINERS),
     "live": TRAINERS,
     "train": TRAINERS,
 }

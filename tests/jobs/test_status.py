@@ -5,7 +5,6 @@ from outputs import status
 
 from gesturekit.jobs.records import (
     STATE,
-    FailedItem,
     shard_of,
     status_of,
     write_items,
@@ -35,7 +34,9 @@ def test_counts_and_speed_are_those_of_the_latest_results(tmp_path):
     write_record(state, Result(Task("f"), "dropped"))
     found = status_of(tmp_path)
     assert (found.items, found.done, found.earlier, found.sound) == (6, 3, 2, 70)
-    assert found.failed == [FailedItem("b", "b.wav: worst", 2)] and not found.failed[0].is_aside
+    (failed,) = found.failed
+    assert (failed.id, failed.error, failed.failures) == ("b", "b.wav: worst", 2)
+    assert not failed.is_aside
     assert (found.left, found.in_hand, found.running) == (["e", "f"], ["e"], [])
     numbers = [shard_of(name, 2) for name in "abcdef"]
     ended = [shard_of(name, 2) for name in "abcd"]
@@ -57,7 +58,7 @@ def test_reasons_are_counted_without_names_and_differing_numbers():
         "x/two": "/in/x/two.wav: 7 samples at 16000 Hz",
         "y": "disk full near y.bvh",
     }
-    found = status(failed=[FailedItem(name, error, 1) for name, error in errors.items()])
+    found = status(failed=[Result(Task(name), error=error) for name, error in errors.items()])
     (two, one) = found.reasons()
     assert two[1:] == (2, "x/one") and one[1:] == (1, "y")
     assert "samples at 16000 Hz" in two[0] and "12" not in two[0] and "x/" not in two[0]

@@ -15,8 +15,7 @@ from gesturekit.errors import ConfigError, FormatError
 from gesturekit.jobs.records import STATE, read_record, write_record
 from gesturekit.jobs.result import Task
 from gesturekit.postprocess import smooth_motion
-from gesturekit.rendering.batch import estimated_cost, render_batch
-from gesturekit.rendering.renderer import Output
+from gesturekit.rendering.renderer import Output, estimated_cost, render_batch
 
 
 @pytest.fixture

@@ -10,9 +10,8 @@ from gesturekit.corpus import Item
 from gesturekit.errors import GestureKitError
 from gesturekit.jobs.result import Result, Task
 from gesturekit.motion import Motion
-from gesturekit.rendering.batch import model_of_results, preview, render_batch
 from gesturekit.rendering.features import FeatureExtraction
-from gesturekit.rendering.renderer import Output, Renderer
+from gesturekit.rendering.renderer import Output, Renderer, model_of_results, preview, render_batch
 
 
 def renderer(model, out, output=None, channel=None, **controls) -> Renderer:

@@ -6,7 +6,7 @@ import re
 import pytest
 from outputs import status
 
-from gesturekit.jobs.records import STATE, FailedItem, write_record
+from gesturekit.jobs.records import STATE, write_record
 from gesturekit.jobs.result import Result, Task
 from gesturekit.rendering import summary
 
@@ -33,8 +33,9 @@ def done(name: str, sound: float, seconds: float = 0.0, *files: str) -> Result:
 
 
 def test_failures_are_listed_by_reason_and_one_by_one(page):
-    failed = [FailedItem("a<b>", "no <sound> in a<b>", 3), FailedItem("ç", "no <sound> in ç", 2)]
-    failed += [FailedItem(f"{k}", "other", 1) for k in range(9999)]
+    errors = {name: f"no <sound> in {name}" for name in ("a<b>", "ç")}
+    errors |= dict.fromkeys(map(str, range(9999)), "other")
+    failed = [Result(Task(name), error=error, failures=3) for name, error in errors.items()]
     made = [done(name, 3.0) for name in ("ok", "ok", "ok2")]
     text = page([Result(Task("a<b>"), "failed", sound=3.0), *made], failed=failed)
     assert "<sound>" not in text and "a<b>" not in text  # names are no markup

@@ -4,6 +4,7 @@ import json
 import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import torch
 
 import audio_features as af
+import gesturekit as gk
 from gesturekit.errors import ConfigError, ModelError
 from gesturekit.training.model_folder import (
     ModelParts,
@@ -58,6 +60,18 @@ def load(folder, skeleton, monkeypatch) -> Callable[..., Any]:
         return Puppet.load(folder)
 
     return read
+
+
+def test_a_loaded_model_has_the_fingerprint_of_its_parts_and_sees_new_weights(tmp_path):
+    """A copy is not known to be of a folder: all its parts are gone through."""
+    model = gk.load("demo")
+    first = model.fingerprint()
+    assert first == replace(model).fingerprint() == gk.load("demo").fingerprint()
+    model.save(tmp_path)  # in single precision; the demo is stored in half
+    assert gk.load(tmp_path).fingerprint() == first
+    with torch.no_grad():
+        next(model.network.parameters()).add_(1)
+    assert first != model.fingerprint() == replace(model).fingerprint()
 
 
 def test_what_is_written_is_read(folder, load, caplog):
