@@ -250,7 +250,9 @@ def test_one_sentence_says_which_metric_is_established():
     assert metrics["bas"].p_holm == pytest.approx(kendalltau(mixed, order).pvalue)
     sentence = conclusion(question)
     assert re.search(r"Sync.* as people.*Foot skate.*other way", sentence) and "3" in sentence
+    assert all(metric.informative for metric in metrics.values())
     question, metrics = found({"sync": order, "bas": mixed}, sync=False)
+    assert [metrics[key].informative for key in ("sync", "bas")] == [False, True]
     assert metrics["sync"].p_holm is None and "1 metric" in conclusion(question)
     assert "Sync" not in conclusion(question)
 

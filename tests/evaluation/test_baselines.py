@@ -65,6 +65,16 @@ def test_the_other_utterance_is_the_next_recording_cut_to_length(found, folders)
     assert any(re.search(r"\b2(\.0+)? s\b", note) for note in found.models[2].clips[0].notes)
 
 
+def test_two_recordings_are_enough_for_each_other(gesture, tmp_path):
+    for name, seed in (("a", 0), ("b", 1)):
+        gesture(2.0, 25.0, seed=seed).save(tmp_path / f"{name}.npz")
+    baselines = ["other_utterance"]
+    (_, other) = evaluate(tmp_path, tmp_path, baselines=baselines, cheap=True).models
+    first, second = (load_clip(clip.pair, 25.0) for clip in other.clips)
+    assert first.generated.rotations == pytest.approx(second.recording.rotations)
+    assert second.generated.rotations == pytest.approx(first.recording.rotations)
+
+
 def test_a_single_held_out_item_is_compared_with_training_recordings(folders, tmp_path):
     items = [
         Item(

@@ -105,3 +105,15 @@ def test_figures_of_sets(model, motions):
              for side in (made, recorded)]  # fmt: skip
     whole = ev.cca(*(side.reshape(len(side), -1) for side in poses))
     assert found["cca_global"] == pytest.approx(whole, abs=1e-4)
+    speeds = np.concatenate([
+        (ev.joint_speed(m, body_joints(m.skeleton)) / body_scale(one.skeleton)).ravel()
+        for m, one in zip(made, recorded)
+    ])  # fmt: skip
+    beyond = 100.0 * (speeds >= 0.49).mean()
+    assert 0.1 < beyond < 99.9 and f"{beyond:.1f} %" in model.metrics["hellinger"].note
+
+
+def test_windows_of_a_clip_are_told_apart_as_often_as_those_of_the_set(model):
+    """Each recording has as many clips: the set's share is the mean of the clips' shares."""
+    shares = [clip.metrics["one_nn"] for clip in model.clips]
+    assert 0.5 < np.mean(shares) == pytest.approx(values(model)["one_nn"], abs=0.02)

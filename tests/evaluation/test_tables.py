@@ -90,6 +90,11 @@ def test_numbers_are_nearly_right_and_no_longer_than_their_size_needs(value):
     assert len(text.strip("-").replace(".", "")) <= max(4, len(f"{abs(value):.0f}"))
 
 
+@pytest.mark.parametrize(("value", "text"), [(10.0, "10.0"), (100.0, "100"), (1e3, "1\u202f000")])
+def test_a_number_has_the_digits_of_those_above_it(value, text):
+    assert number(value) == text
+
+
 def test_levels_say_how_many_takes_or_pieces_they_are_of():
     level = Level("another speaker", 0.4123, 0.0567, 4)
     assert level_in_words(level) == "another speaker 0.41 ± 0.057 (4 takes)"

@@ -215,6 +215,9 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
         build_study(config, tmp_path / "x")
     with pytest.raises(ConfigError, match="(?=.*mismatch).*speech"):
         build_study(StudyConfig("T", {"a": systems["a"]}, design="mismatch"), tmp_path / "x")
+    smallest = {"design": "mismatch", "lists": 1, "attention_checks": 0}
+    config = video_study(tmp_path / "two", {"one": ["x.mp4", "y.mp4"]}, **smallest)
+    assert build_study(config, tmp_path / "y").page.is_file()
 
 
 def test_each_list_rates_all_systems_of_its_segments():
