@@ -80,6 +80,7 @@ def test_a_csv_has_seconds_and_columns_and_may_stand_for_the_sound(talk):
     [
         ("seconds,a\n", "no rows"),
         ("seconds,a\n0,0 days\n", "0 days"),
+        ("seconds,a\n0,1 # late\n", "1 # late"),
         ("seconds,a\n0,1\n1,2,3\n", "row 2"),
         ("seconds,a\n1,1\n0,2\n", "ascend"),
         ("seconds,a\n0,1\n1,nan\n", "nan"),
