@@ -121,6 +121,17 @@ def test_all_metrics_of_all_models_are_beside_those_of_the_recordings(evaluation
         assert ("↑" in "".join(row)) == (name in ("Sync", "Coverage")), name
 
 
+def test_the_terminal_has_the_higher_of_both_chance_levels(evaluation):
+    (sync,) = (line for line in terminal_lines(evaluation) if line.strip().startswith("Sync"))
+    assert "0.25" in sync and "0.10" not in sync
+
+
+def test_a_warning_names_its_model_where_there_are_several(evaluation, page_of):
+    assert "a&amp;b: samples." in page_of(evaluation)
+    alone = page_of(replace(evaluation, models=evaluation.models[:1]))
+    assert "samples." in alone and "a&amp;b: samples." not in alone
+
+
 def test_samples_of_one_recording_are_averaged_in_a_row_of_it(evaluation, page_of):
     _, *rows = rows_of(page_of(evaluation), "Recording by recording")
     assert [row[:2] for row in rows] == [["r0", "a&b"], ["r1", "a&b"]]
