@@ -17,7 +17,7 @@ from gesturekit.errors import ConfigError, FormatError
 _LOW_DISK = 2 * 10**9
 _NEEDED = ("numpy", "scipy", "soundfile", "soxr", "librosa", "safetensors", "yaml", "matplotlib")
 Result = str | tuple[str, str]
-"""What a check found: a text; with advice where an optional component is missing or slow."""
+"""Text of a finding; with advice where an optional component is missing or slow."""
 
 
 @dataclass(frozen=True)

@@ -143,8 +143,8 @@ def _write_clips(
                 shutil.copyfile(source, temporary)
             continue
         motion = load(source, {}, {})
-        heard = math.inf if sound is None else Wave.load(sound).duration
-        seconds[name] = round(min(motion.duration, heard), 3)
+        sound_seconds = math.inf if sound is None else Wave.load(sound).duration
+        seconds[name] = round(min(motion.duration, sound_seconds), 3)
         clip = json.loads(player_data(motion, sound, body=config.body, compress=True))
         if "skin" in clip:  # a mesh that all clips share
             mesh, clip["skin"] = clip["skin"], _BODY

@@ -412,7 +412,7 @@ class TrainedModel(ABC):
 
 
 _READ: WeakKeyDictionary[TrainedModel, ModelParts] = WeakKeyDictionary()
-"""What loaded models were read from, without their weights; a copy of a model has no entry."""
+"""Parts of loaded models as read, without weights; a copy of a model has no entry."""
 
 
 def fitted_tensors(

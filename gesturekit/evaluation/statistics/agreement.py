@@ -73,13 +73,17 @@ def agreement(models: Sequence[ModelResult], ratings: Ratings, seed: int = 0) ->
 
 def conclusion(found: QuestionAgreement) -> str:
     """Return in one sentence which metrics order the models as people do."""
-    tested = [one for one in found.metrics if one.of_models is not None and one.p_holm is not None]
+    tested = [
+        (one.key, one.of_models, one.p_holm)
+        for one in found.metrics
+        if one.of_models is not None and one.p_holm is not None
+    ]
     about = f" for {printable(found.question)}" if found.question else ""
     sides: dict[str, list[str]] = {"as people do": [], "the other way round": []}
-    for one in tested:
-        if (one.p_holm or 0.0) < 1.0 - LEVEL:
-            side = "as people do" if (one.of_models or 0.0) > 0 else "the other way round"
-            sides[side].append(DEFINITIONS[one.key].name)
+    for key, tau, p in tested:
+        if p < 1.0 - LEVEL:
+            side = "as people do" if tau > 0 else "the other way round"
+            sides[side].append(DEFINITIONS[key].name)
     if certain := [f"{listed(names)} {side}" for side, names in sides.items() if names]:
         return f"Established{about}: ordered {' and '.join(certain)} (Holm, {len(tested)} metrics)."
     models = len(found.scores.keys() - {RECORDING})
