@@ -1,7 +1,8 @@
 """Three questions that head a report, answered in one sentence each, and the verdict in words.
 
-The verdict is one line, such as "Half of the speaker's reach, hardly ever at rest, in time with the
-speech." All thresholds are in `thresholds`.
+The verdict is one line, such as "Has half of the speaker's reach, is hardly ever at rest, is
+loosely in time with the speech.": words on the movement, then the first clause of each answer.
+All thresholds are in `thresholds`.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def answer_questions(models: Sequence[ModelResult]) -> None:
     add_floors(models)
     for model in models:
         model.answers = answers_of(model.clips, model.metrics)
-        model.verdict = verdict(model.metrics)
+        model.verdict = verdict(model.metrics, model.answers)
 
 
 def answers_of(clips: Sequence[ClipResult], metrics: Results) -> list[QuestionAnswer]:
@@ -238,10 +239,10 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     if value < thresholds.COPIED:
         return "no", f"Mostly copied from training motion{seeds}."
     if copied:
-        return "no", f"Mostly copied from training motion: {' and '.join(copied)}{seeds}."
+        return "no", f"Mostly copied from training motion in {' and '.join(copied)}{seeds}."
     if value < thresholds.NEAR:
-        text = "Nearer to training motion than other recordings are: partly copied, or less lively"
-        return "no", f"{text}{seeds}."
+        text = "Partly copied from training motion, or less lively than the speaker; nearer to it"
+        return "no", f"{text} than other recordings are{seeds}."
     if _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED:
         return "partly", f"New, but occasionally copied from training motion{seeds}."
     text = "New: as far from training motion as other recordings"
@@ -264,17 +265,25 @@ _RATIO_WORDS = {
 }
 
 
-def verdict(metrics: Results) -> str:
-    """Return a sentence on reach, speed, rests, timing, copying, likeness; "" if nothing is known.
+def verdict(metrics: Results, answers: Sequence[QuestionAnswer]) -> str:
+    """Return a sentence on reach, speed, rests and the answers; "" if nothing is known.
 
     Args:
-        metrics: results of a model by key of `definitions`, each with the recording's value.
+        metrics: results of a model by key of `definitions`, each with the recordings' value.
+        answers: those of `answers_of`; that a motion is new is no praise, since odd motion is too.
     """
     if _value(metrics, "near_still") >= thresholds.MOTIONLESS:
         return "The hands hardly move."
     if broken := defects(metrics):
         return f"The motion is {broken}."
-    text = ", ".join((*_movement_words(metrics), *_timing_words(metrics), *_origin_words(metrics)))
+    words = [*_movement_words(metrics)]
+    for answer in answers:
+        is_praise = answer.state == "yes" and answer.key != "novelty"
+        if is_praise or answer.state in ("partly", "no"):
+            clause = answer.sentence.partition(";")[0].removesuffix(".")
+            verb = "" if answer.key == "likeness" else "is "
+            words.append(f"{verb}{clause[0].lower()}{clause[1:]}")
+    text = ", ".join(words)
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
@@ -314,7 +323,7 @@ def in_words(ratio: float) -> str:
 
 
 def _movement_words(metrics: Results) -> Iterator[str]:
-    """Yield words on reach, speed and rests."""
+    """Yield words on reach, speed, rests, and calm and lively stretches."""
     low, high = thresholds.ALIKE
     for key, before, after in (
         ("reach", "has ", "the speaker's reach"),
@@ -333,45 +342,6 @@ def _movement_words(metrics: Results) -> Iterator[str]:
             "is at rest as much of the time as the speaker",
             "is at rest more of the time than the speaker",
         )[bisect_right(limits, _ratio(metrics, "rest"))]
-
-
-def _timing_words(metrics: Results) -> Iterator[str]:
-    """Yield words on calm and lively stretches, and on the time of movements."""
-    calm, sync = metrics.get("calm_lively_r"), metrics.get("sync")
+    calm = metrics.get("calm_lively_r")
     if calm is not None and calm.informative and calm.interval.value < thresholds.FOLLOWS:
         yield "is calm and lively at other times than the speaker"
-    if sync is None or sync.recording is None:
-        return
-    chance = max((v for v in (sync.mismatched, sync.chance) if v is not None), default=0.0)
-    own = sync.recording - chance
-    if own < thresholds.LEAST_SYNC or not sync.informative:
-        if _above_chance(metrics):
-            yield "is in time with the speech more than by chance"
-    else:
-        limits = (thresholds.LOOSELY_IN_TIME, thresholds.IN_TIME)
-        share = (sync.interval.value - chance) / own
-        yield (
-            "is not in time with the speech",
-            "is loosely in time with the speech",
-            "is in time with the speech",
-        )[bisect_right(limits, share)]
-
-
-def _origin_words(metrics: Results) -> Iterator[str]:
-    """Yield words on copies of recordings and on the likeness to the speaker."""
-    median = _ratio(metrics, "copying")
-    is_small = _ratio(metrics, "reach") < thresholds.ALIKE[0]  # and therefore near to any motion
-    if median < thresholds.COPIED:
-        yield "is mostly copied from recordings"
-    elif median < thresholds.NEAR and not is_small:
-        yield "is partly copied from recordings"
-    elif _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED and not is_small:
-        yield "is occasionally copied from recordings"
-    state, _ = _likeness(metrics)
-    words = {
-        "yes": "moves like the speaker",
-        "partly": "moves only somewhat like the speaker",
-        "no": "does not move like the speaker",
-    }
-    if state in words:
-        yield words[state]

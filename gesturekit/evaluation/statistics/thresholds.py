@@ -8,8 +8,6 @@ from __future__ import annotations
 ABOVE_CHANCE = 3.0
 """Standard errors that a value is above its chance level, at least: of the recordings, for a metric
 of speech to be informative; of a model with too few takes for an interval."""
-LEAST_SYNC = 0.1
-"""Recordings with less sync above chance than this do not move with their speech."""
 IN_TIME, LOOSELY_IN_TIME, TOO_STRICT = 0.7, 0.3, 1.3
 """Shares of sync above chance: in time with the speech, loosely in time, more than the speaker."""
 
