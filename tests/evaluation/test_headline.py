@@ -131,6 +131,10 @@ def test_copies_are_named():
         found = states(clips(), novelty=new, **arms)["novelty"]
         assert found[0] == state and ("left arm" in found[1]) == (state == "no")
         assert "right arm" not in found[1]
+    # Of a mirrored recording: each arm is as near to training motion as the other one was.
+    arms = {"copying_left": result("copying_left", 4.0, 10.0),
+            "copying_right": result("copying_right", 10.0, 4.0)}  # fmt: skip
+    assert states(clips(), novelty=new, **arms)["novelty"][0] == "yes"
 
 
 def test_whether_motion_is_new_is_not_asked_without_training_motion_each_with_its_reason():

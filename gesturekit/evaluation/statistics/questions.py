@@ -228,10 +228,10 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
             "the recordings themselves are the same as training motion, or do not move. Look for "
             "one recording in two splits."
         )
-    copied = [
-        f"the {side} arm"
-        for side, key in ARM_KEYS.items() if _ratio(metrics, key) < thresholds.COPIED
-    ]  # fmt: skip
+    # Arms are also compared with the other one of training: the calmer one is the measure of both.
+    own = min(filter(None, (_own(metrics, key) for key in ARM_KEYS.values())), default=0.0)
+    nearest = {side: _value(metrics, key) for side, key in ARM_KEYS.items()}
+    copied = [f"the {side} arm" for side in nearest if nearest[side] < thresholds.COPIED * own]
     value, share = result.interval.value, 100 * _ratio(metrics, "inter_diversity")
     seeds = "" if math.isnan(share) else (
         f"; two samples of one speech differ {share:.0f} % as much as two recordings do"
