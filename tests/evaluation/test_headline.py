@@ -217,6 +217,8 @@ def test_a_score_is_placed_between_its_floor_and_its_ceiling():
         assert found == state and all(fact in sentence for fact in facts), value
         assert [w for w in ("floor", "ceiling") if w in sentence] == facts[:1], value
         assert "not tested" not in sentence
+    single = result("likeness", 0.85, 1.0, ceiling=replace(ceiling, spread=None, n=1))
+    assert states(clips(), likeness=single)["likeness"][0] == "partly", "no spread is known"
     # However much the speaker's takes differ, .7 is needed for yes and .6 for partly.
     own = Level("the speaker's other takes", 0.8, 0.2, 6)
     for value, state in ((0.71, "yes"), (0.69, "partly"), (0.59, "no")):
@@ -272,6 +274,7 @@ def test_a_broken_body_is_named_first_and_not_praised(metrics, fact):
         (of(near_still=(20.0, 10.0), rest=(32.0, 32.0)), "frozen 20"),
         (of(near_still=(12.0, 10.0), rest=(32.0, 32.0)), "rest"),
         (of(rest=(1.0, 1.0)), ""),
+        (of(rest=(2.0, 2.0)), "rest"),
         (of(rest=(2.0, 10.0)), "hardly rest"),
         (of(rest=(5.0, 10.0)), "seldom rest"),
         (of(rest=(20.0, 10.0)), "more rest"),

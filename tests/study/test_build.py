@@ -220,6 +220,10 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     assert build_study(config, tmp_path / "y").page.is_file()
 
 
+def test_twelve_systems_are_the_most_on_one_page_of_sliders():
+    assert len(make_lists(config_of(12, design="rating", lists=1), segments(3))[0]) == 3
+
+
 def test_each_list_rates_all_systems_of_its_segments():
     lists = make_lists(config_of(5, design="rating", pairs=6, lists=4), segments(8))
     assert {c.systems for one in lists for c in one} == {("s0", "s1", "s2", "s3", "s4")}
