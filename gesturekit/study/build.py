@@ -97,7 +97,9 @@ def build_study(config: StudyConfig, out: str | os.PathLike[str]) -> BuiltStudy:
     silent = config.is_silent or not (are_videos or segments[0].sound)
     values = {
         "title": html.escape(config.title),
-        "policy": html.escape(_policy(config.post_url)),
+        # Beside this address, the page may load its own clips; some browsers do not count other
+        # files of a disk as 'self'.
+        "post_url": html.escape(config.post_url or "'none'"),
         "setup": script_json(_setup(config, silent, trials, out)),
         "shell": script_json("" if are_videos else player_shell()),
         "script": script,
@@ -111,22 +113,24 @@ def _trial(
     config: StudyConfig, comparison: Comparison, others: dict[str, Segment], names: Names
 ) -> dict[str, Any]:
     """Return a comparison as the page reads it; its clips are added to `names`."""
-    segment, sides = comparison.segment, []
-    for name in comparison.systems:
+
+    def clip(system: str, shown: Segment, spoken: Segment) -> str:
+        suffix = shown.clips[system].suffix.lower() if shown.is_video else ""
+        key = (system, shown.name, spoken.name)
+        return names.setdefault(key, f"c{len(names) + 1:04d}{suffix}")
+
+    segment, systems = comparison
+    sides: list[dict[str, Any]] = []
+    for name in systems:
         system = name.removesuffix(MISMATCHED)
         shown = segment if system == name else others[segment.name]
-
-        def clip(shown: Segment, spoken: Segment, system: str = system) -> str:
-            suffix = shown.clips[system].suffix.lower() if shown.is_video else ""
-            key = (system, shown.name, spoken.name)
-            return names.setdefault(key, f"c{len(names) + 1:04d}{suffix}")
-
         if not segment.is_video:
-            sides.append({"motion": clip(shown, segment)})
+            sides.append({"motion": clip(system, shown, segment)})
             continue
-        side: dict[str, Any] = {"video": clip(shown, shown), "silent": config.is_silent}
-        sides.append(side | ({} if shown is segment else {"sound": clip(segment, segment)}))
-    trial: dict[str, Any] = {"clip": segment.name, "systems": comparison.systems, "sides": sides}
+        sides.append({"video": clip(system, shown, shown), "silent": config.is_silent})
+        if shown is not segment:
+            sides[-1]["sound"] = clip(system, segment, segment)
+    trial: dict[str, Any] = {"clip": segment.name, "systems": systems, "sides": sides}
     return trial | ({"style": segment.style} if segment.style else {})
 
 
@@ -191,17 +195,3 @@ def _setup(config: StudyConfig, silent: bool, lists: Sequence[Any], out: Path) -
         "completion": config.completion_url or "",
         "seed": config.seed,
     }
-
-
-def _policy(post_url: str | None) -> str:
-    """Return what the page may load: its own clips, and nothing from elsewhere."""
-    # Browsers differ in whether 'self' includes other files of a disk.
-    rules = {
-        "default-src": "'none'",
-        "script-src": "'unsafe-inline' 'self' file:",
-        "style-src": "'unsafe-inline'",
-        "media-src": "'self' file: blob:",
-        "img-src": "data: blob:",
-        "connect-src": post_url or "'none'",
-    }
-    return "; ".join(f"{name} {value}" for name, value in rules.items())
