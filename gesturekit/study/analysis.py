@@ -116,16 +116,16 @@ class Votes:
 
     @cached_property
     def _cells(self) -> csr_matrix:
-        """Return (n, 5·P) with 1 at the cell of `counts` that each vote is counted in."""
+        """Return (5·P, n) with 1 where a vote is an answer of `counts`."""
         from scipy.sparse import csr_matrix
 
         n = len(self.pair)
-        cells = (np.arange(n), 5 * self.pair + self.answer)
-        return csr_matrix((np.ones(n), cells), (n, 5 * len(self.pairs)))
+        cells = (5 * self.pair + self.answer, np.arange(n))
+        return csr_matrix((np.ones(n), cells), (5 * len(self.pairs), n))
 
     def counted(self, weights: np.ndarray) -> np.ndarray:
         """Return how often (b, P, 5) each pair got each answer, from votes with weights (b, n)."""
-        return (self._cells.T @ weights.T).T.reshape(len(weights), -1, 5)
+        return (self._cells @ weights.T).T.reshape(len(weights), -1, 5)
 
     @cached_property
     def counts(self) -> np.ndarray:

@@ -19,7 +19,7 @@ VIDEOS = (".mp4", ".webm", ".m4v")
 _WORD = re.compile(r"[^\W_]+")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segment:
     """A speech segment with the clip of every system.
 
