@@ -259,6 +259,12 @@ class PairScore:
     p_tukey: float
 
 
+Alignment = tuple[tuple[PairScore, Estimate], ...]
+"""Comparison of matched with mismatched motion, and alignment score, of each system; best first."""
+Differences = tuple[tuple[str, str, float, float], ...]
+"""(a, b, p, p_holm) of the tests between the mean scores of two systems' matched motion."""
+
+
 @dataclass(frozen=True)
 class Preference:
     """Result of a preference test.
@@ -376,17 +382,13 @@ def _anova(answers: Sequence[Answer]) -> tuple[dict[str, Any] | None, np.ndarray
 
 def analyse_alignment(
     answers: Sequence[Answer], rounds: int, seed: int
-) -> tuple[tuple[tuple[PairScore, Estimate], ...], tuple[tuple[str, str, float, float], ...]]:
+) -> tuple[Alignment, Differences]:
     """Analyse answers that compare matched with mismatched motion of one system each.
 
     Args:
         answers: at least one; all have `matched`.
         rounds: rounds of the bootstrap over raters and clips.
         seed: the same seed gives the same intervals.
-
-    Returns:
-        (comparison, alignment score) of each system, best first, and (a, b, p, p_holm) of the tests
-        between the mean scores of two systems.
     """
     votes = Votes.of(answers)
     found = []
@@ -417,7 +419,7 @@ class StudyResult:
         preference: comparison of systems; None if none were compared, or if ratings answer several
             questions.
         by_style: {style or question: comparison of systems} if there were several.
-        alignment, differences: matched against mismatched motion; see `analyse_alignment`.
+        alignment, differences: matched against mismatched motion, and systems in that.
         reasons: {reason: number of answers that give it}, most frequent first.
         rounds, seed: settings of the bootstrap.
     """
@@ -428,8 +430,8 @@ class StudyResult:
     left: Estimate
     preference: Preference | None
     by_style: dict[str, Preference]
-    alignment: tuple[tuple[PairScore, Estimate], ...]
-    differences: tuple[tuple[str, str, float, float], ...]
+    alignment: Alignment
+    differences: Differences
     reasons: dict[str, int]
     rounds: int
     seed: int
@@ -461,12 +463,15 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
     # Ratings of different questions have no common mean, and no left side.
     together = compared and not (ratings and by_style)
     alignment, differences = analyse_alignment(matched, rounds, seed) if matched else ((), ())
-    votes, left = Votes.of(kept), np.array([answer.score for answer in kept])
+    left = Estimate(math.nan)
+    if ratings is None:
+        votes = Votes.of(kept)
+        left = share(np.array([answer.score for answer in kept]), votes.rater, votes.clip)
     return StudyResult(
         answers=answers,
         raters=len({answer.user for answer in kept}),
         clips=len({answer.clip for answer in kept}),
-        left=Estimate(math.nan) if ratings else share(left, votes.rater, votes.clip),
+        left=left,
         preference=analyse_preference(compared, rounds, seed, ratings) if together else None,
         by_style=by_style,
         alignment=alignment,
