@@ -22,7 +22,7 @@ _PUBLIC = {
     "metrics.physical": (
         "JointLimits SpeedHistogram acceleration arm_speed arm_speed_ratio bone_length_change "
         "feet_above_floor floor_penetration foot_skate hellinger jerk jerk_ratio "
-        "joint_limit_share joint_speed max_speed standing_heights wrist_speed"
+        "joint_limit_share joint_speed max_speed standing_heights worst_joint wrist_speed"
     ),
     "metrics.rhythm": (
         "BeatResult beat_alignment beat_consistency motion_beats music_beats speech_onsets"

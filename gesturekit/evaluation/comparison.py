@@ -438,6 +438,12 @@ def _mark_unlike(models: Sequence[ModelResult]) -> None:
                 "recording: they were retargeted to it before they were measured, and feet and "
                 "reach are partly those of the retargeting"
             )
+        short = sum("shorter than" in note for clip in model.clips for note in clip.notes)
+        if short > len(model.clips) / 2:
+            model.notes.append(
+                f"{short} of {counted(len(model.clips), 'clip')} are shorter than their "
+                "recordings, which are compared as a whole"
+            )
         own = _lengths(model)
         shared = [window for window in own if window in usual]
         other = [w for w in shared if abs(own[w] - usual[w]) > SAME_LENGTH * usual[w]]

@@ -129,6 +129,8 @@ def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):
     found = evaluate({"one": one, "two": two}, recordings, cheap=True)
     assert [bool(model.marks) for model in found.models] == [False, True]
     assert all(seconds in " ".join(found.models[1].notes) for seconds in ("1.53 s", "2.53 s"))
+    said = [any("shorter than" in note for note in model.notes) for model in found.models]
+    assert said == [False, True]
 
 
 def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(

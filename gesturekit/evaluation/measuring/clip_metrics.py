@@ -244,6 +244,7 @@ class ClipMetrics:
         for sound in sounds:
             found = Values()
             self._speech(found, inputs, sound)
+            found.values.pop("sync_lag", None)  # that of other sounds is no chance level
             every += found.values.items()
         return {key: float(np.mean(values)) for key, values in grouped(every).items()}
 
@@ -292,7 +293,7 @@ class ClipMetrics:
         results = {d.key: found.add(d, *sources) for d in self._chosen("sound")}
         synced = results.get("sync")
         if synced is not None and not (synced.note and synced.r):  # else its chance is unknown
-            found.values["in_time"] = synced.r - synced.chance_mean
+            found.values |= {"in_time": synced.r - synced.chance_mean, "sync_lag": synced.lag}
         elif synced is None and hardly_moves(inputs.motion, inputs.clip.recording):
             found.values["in_time"] = 0.0
         for key, result in results.items():

@@ -28,6 +28,7 @@ from gesturekit.evaluation.statistics.model_metrics import (
     above_chance,
     add_floors,
     least_likeness,
+    level_name,
     level_text,
     on_its_floor,
     reached_floor,
@@ -62,7 +63,7 @@ def answers_of(clips: Sequence[ClipResult], metrics: Results) -> list[QuestionAn
     if broken := defects(metrics):
         why = f"Not asked, as the motion is {broken}."
         return [QuestionAnswer(text, key, NOT_ASKED, why) for key, text in QUESTIONS.items()]
-    found = (_timing(clips, metrics), _likeness(metrics), _novelty(clips, metrics))
+    found = (_timing(clips, metrics), _likeness(clips, metrics), _novelty(clips, metrics))
     return [
         QuestionAnswer(text, key, state, _with_level(sentence, metrics.get(key)))
         for (key, text), (state, sentence) in zip(QUESTIONS.items(), found, strict=True)
@@ -74,9 +75,9 @@ def _with_level(sentence: str, result: MetricResult | None) -> str:
     if result is None or not result.informative:
         return sentence
     if floor := on_its_floor(result):
-        text = f"no higher than its floor, {level_text(floor)}"
-    elif result.ceiling is not None and result.key != "novelty" and _is_above_ceiling(result):
-        text = f"above its ceiling, {level_text(result.ceiling)}"
+        text = f"no higher than its floor, {level_name(floor)}"
+    elif result.ceiling is not None and result.key == "in_time" and _is_above_ceiling(result):
+        text = f"above its ceiling, {level_name(result.ceiling)}"
     else:
         return sentence
     return f"{sentence.removesuffix('.')}; {text}."
@@ -116,51 +117,65 @@ def _ratio(metrics: Results, key: str) -> float:
     return _value(metrics, key) / (_own(metrics, key) or math.nan)
 
 
+_DEFECTS = {
+    "joint_limits": (
+        *(1.0, thresholds.BEYOND_LIMITS),
+        "{:.0f} % of joint rotations are beyond the recordings' range",
+    ),
+    "worst_joint": (
+        *(1.0, thresholds.OUT_OF_JOINT),
+        "one joint is far beyond the recordings' range in {:.0f} % of the frames",
+    ),
+    "feet_above_floor": (2.0, thresholds.FLOATING, "the feet are {:.0f} mm above the floor"),
+    "floor_penetration": (2.0, thresholds.SUNK, "the feet are {:.0f} mm below the floor"),
+    "foot_skate": (2.0, thresholds.SLIDING, "the feet slide at {:.2f} m/s"),
+    "bone_length_change": (2.0, thresholds.STRETCHED, "bones change their length by {:.0f} %"),
+}
+"""Metrics of a broken body: it has more than so many times the recordings' own value and so much;
+the words for it."""
+
+
 def defects(metrics: Results) -> str:
     """Return in words what is broken about a motion, whatever else is measured; "" if nothing.
 
     Rotations that are not so far beyond the recordings' range, in motion that is nowhere near the
     recorded one, may be those of another speaker as well.
     """
-    keys = ("joint_limits", "feet_above_floor", "bone_length_change")
-    beyond, feet, bones = (_value(metrics, key) for key in keys)
-    own_beyond, own_feet, own_bones = (_own(metrics, key) for key in keys)
-    shaken = _ratio(metrics, "jerk_genea")
-    limits = f"{beyond:.0f} % of joint rotations are beyond the recordings' range"
-    rules = [
-        (beyond - own_beyond > thresholds.BEYOND_LIMITS, limits),
-        (feet - 2 * own_feet > thresholds.FLOATING, f"the feet are {feet:.0f} mm above the floor"),
-        (
-            bones - 2 * own_bones > thresholds.STRETCHED,
-            f"bones change their length by {bones:.0f} %",
-        ),
-        (shaken > thresholds.SHAKEN, f"it shakes ({shaken:.0f} times the recordings' jerk)"),
+    found = [
+        words.format(_value(metrics, key))
+        for key, (times, more, words) in _DEFECTS.items()
+        if _value(metrics, key) - times * _own(metrics, key) > more
     ]
-    what = "broken" if any(holds for holds, _ in rules) else "broken, or another speaker's"
+    if (shaken := _ratio(metrics, "jerk_genea")) > thresholds.SHAKEN:
+        found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")
+    if found:
+        return f"broken: {', '.join(found)}"
+    beyond = _value(metrics, "joint_limits")
     alien = _value(metrics, "one_nn") >= thresholds.SEPARABLE > _own(metrics, "one_nn")
-    covered = thresholds.COVERED * _own(metrics, "within_reach")
-    if alien and _value(metrics, "within_reach") < covered:
-        rules[0] = (beyond - own_beyond > thresholds.FAR_BEYOND_LIMITS, limits)
-    found = [text for holds, text in rules if holds]
-    return f"{what}: {', '.join(found)}" if found else ""
+    alien &= _value(metrics, "within_reach") < thresholds.COVERED * _own(metrics, "within_reach")
+    if alien and beyond - _own(metrics, "joint_limits") > thresholds.FAR_BEYOND_LIMITS:
+        words = _DEFECTS["joint_limits"][-1].format(beyond)
+        return f"broken, or another speaker's: {words}"
+    return ""
 
 
 def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     """Return state and sentence of the first answer."""
     result = metrics.get("in_time")
     if result is None or result.recording is None:
-        return "not measured", "Not measured: no speech with arms to move."
+        silent = all(clip.pair.audio is None for clip in clips)
+        what = "no sound is given (--audio)" if silent else "no speech with arms to move"
+        return "not measured", f"Not measured: {what}."
     if not result.informative:  # the model alone is asked: is it above its own chance level?
         if no_room := _no_room(result):
             return _cannot_be_answered(no_room)
-        seconds = sum({c.pair.of: c.seconds for c in clips}.values())
         few = (
-            f"{seconds:.0f} s of speech are too few, or move the speaker's arms too little, to say "
-            "whether as much as the speaker."
+            f"{_seconds(clips):.0f} s of speech are too few, or move the speaker's arms too little"
         )
         if _above_chance(metrics):
-            return "partly", f"In time with the speech more than by chance; {few}"
-        return UNANSWERABLE, f"Not in time with the speech more than by chance; {few}"
+            words = "In time with the speech more than by chance; whether as much as the speaker"
+            return "partly", f"{words} cannot be said: {few}."
+        return _cannot_be_answered(f"{few}.")
     low = result.interval.low
     share = result.interval.value / result.recording
     if low is None:
@@ -171,9 +186,18 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
         return "no", "Not in time with the speech."
     if share < thresholds.IN_TIME:
         return "partly", "Loosely in time with the speech."
+    lag = _value(metrics, "sync_lag") - _own(metrics, "sync_lag")
+    if abs(lag) >= thresholds.LATE:
+        words = f"{abs(lag):.1f} s {'later' if lag > 0.0 else 'earlier'} than the speaker"
+        return "partly", f"In time with the speech, but {words}."
     if share > thresholds.TOO_STRICT:
         return "partly", "In time with the speech, more strictly than the speaker."
     return "yes", "As much in time with the speech as the speaker."
+
+
+def _seconds(clips: Sequence[ClipResult]) -> float:
+    """Return the length of all clips, one of each recording."""
+    return sum({clip.pair.of: clip.seconds for clip in clips}.values())
 
 
 def _above_chance(metrics: Results) -> bool:
@@ -182,7 +206,7 @@ def _above_chance(metrics: Results) -> bool:
     return _value(metrics, "sync_z") >= thresholds.ABOVE_CHANCE if low is None else low > 0.0
 
 
-def _likeness(metrics: Results) -> tuple[str, str]:
+def _likeness(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     result = metrics.get("likeness")
     if result is None:
         return "not measured", (
@@ -191,6 +215,8 @@ def _likeness(metrics: Results) -> tuple[str, str]:
     if not result.informative:
         few = "takes of this speaker are too unlike one another, or too short, to compare with."
         return _cannot_be_answered(_no_room(result) or few)
+    if (seconds := _seconds(clips)) < thresholds.LEAST_SECONDS:
+        return _cannot_be_answered(f"{seconds:.0f} s of motion are too few.")
     value = math.nan if on_its_floor(result) else result.interval.value
     untested = "" if result.tested_against_speaker else "; not tested against another speaker"
     if value >= least_likeness(result.ceiling):
