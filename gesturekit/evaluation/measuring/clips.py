@@ -21,7 +21,7 @@ from gesturekit.evaluation.metrics.inputs import at_rate
 from gesturekit.evaluation.metrics.mouth import with_mouth_alone
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, ItemInterval, Pair
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, Pair
 from gesturekit.formats.tables import load_semantics
 from gesturekit.motion import Motion
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
@@ -139,7 +139,7 @@ def load_clip(pair: Pair, fps: float, without: frozenset[str] = frozenset()) -> 
         if len(joints) < 2:
             raise MotionError("fewer than 2 joints are common to all models")
     except MotionError as error:
-        raise MotionError(f"{pair.generated}: {pair.reference.name}: {error}") from None
+        raise MotionError(f"{pair.generated}: {pair.stem}: {error}") from None
     return Clip(pair, generated, recording, joints, semantic, (*notes, *remarks))
 
 
@@ -256,24 +256,15 @@ def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
     return notes
 
 
-def load_recording(path: Path | ItemInterval, fps: float) -> Motion:
+def load_recording(item: Item, fps: float) -> Motion:
     """Read a recording and resample it to `fps`.
 
     Raises:
-        FormatError, MotionError: the file cannot be read.
+        CorpusError, FormatError, MotionError: the file cannot be read.
     """
     return _cached(
-        (path, fps), lambda: at_rate(_read(path), fps), lambda motion: motion.rotations.nbytes
+        (item, fps), lambda: at_rate(_read(item), fps), lambda motion: motion.rotations.nbytes
     )
-
-
-def load_wave(source: Path | ItemInterval) -> Wave:
-    """Read a recording's sound.
-
-    Raises:
-        AudioError: it cannot be read.
-    """
-    return source.item.load_wave() if isinstance(source, ItemInterval) else Wave.load(source)
 
 
 def _later(track: FeatureTrack, start: float) -> FeatureTrack:
@@ -283,23 +274,11 @@ def _later(track: FeatureTrack, start: float) -> FeatureTrack:
     return FeatureTrack(track.values[keep], track.times[keep] - start, track.spec, track.names)
 
 
-def _read(path: Path | ItemInterval) -> Motion:
-    motion = with_mouth_alone(read_motion(path))
+def _read(item: Item) -> Motion:
+    motion = with_mouth_alone(item.load_motion())
     if motion.n_frames < 2:
-        raise FormatError(f"{path}: one frame; a motion to be measured has at least 2")
+        raise FormatError(f"{item}: one frame; a motion to be measured has at least 2")
     return motion
-
-
-def read_motion(path: Path | ItemInterval) -> Motion:
-    """Read a motion at its own frame rate; its errors name the file."""
-    if isinstance(path, ItemInterval):
-        return path.item.load_motion()
-    try:
-        return Motion.load(path)
-    except (FormatError, MotionError) as error:
-        # The error of an invalid motion does not name its file.
-        text = str(error)
-        raise type(error)(text if path.name in text else f"{path}: {text}") from error
 
 
 _STEP = 0.01  # seconds between values of a track read from intervals
@@ -353,7 +332,7 @@ class RecordedSound:
         return music_beats(self.wave)
 
 
-def load_sound(path: Path | ItemInterval, window: int | None) -> RecordedSound:
+def load_sound(item: Item, window: int | None) -> RecordedSound:
     """Read a sound, or one 10 s window of it; recent ones are in memory.
 
     Raises:
@@ -361,11 +340,11 @@ def load_sound(path: Path | ItemInterval, window: int | None) -> RecordedSound:
     """
 
     def load() -> RecordedSound:
-        wave = load_wave(path)
+        wave = item.load_wave()
         at = None if window is None else window * WINDOW_SECONDS
         return RecordedSound(wave if at is None else wave.slice(at, WINDOW_SECONDS))
 
-    return _cached(("sound", path, window), load, lambda sound: sound.wave.samples.nbytes)
+    return _cached(("sound", item, window), load, lambda sound: sound.wave.samples.nbytes)
 
 
 class MotionSample:
@@ -495,7 +474,7 @@ class TrainingMotion:
             if left < 1.0:
                 break
             try:
-                motion = load_recording(ItemInterval(item), FPS)
+                motion = load_recording(item, FPS)
             except GestureKitError as error:
                 found.excluded.append(Excluded(item.id, str(error), "the training split"))
                 continue

@@ -39,7 +39,7 @@ from gesturekit.evaluation.measuring.clips import (
 )
 from gesturekit.evaluation.measuring.set_metrics import SetMeasurement, SetMetrics
 from gesturekit.evaluation.measuring.speaker import LikenessMeasurer, ceilings
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window, grouped
+from gesturekit.evaluation.pairs import Excluded, Pair, Window, grouped
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, restored
 from gesturekit.evaluation.statistics.model_metrics import OTHER_SOUND
 from gesturekit.workers import Failure, in_processes
@@ -60,7 +60,7 @@ pairs; None for their set."""
 Measurement = ClipResult | Excluded | SetMeasurement
 """Result of measuring a target; a clip that cannot be read is `Excluded`."""
 
-_Sound = tuple[Path | ItemInterval, int | None]
+_Sound = tuple[Item, int | None]
 """Sound of a recording, and the index of its 10 s window; None for the whole."""
 _KIND = "measurements-1"
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "scikit-learn", "soundfile")
@@ -174,14 +174,14 @@ class Measurer:
         return metrics.measured()
 
     @functools.cached_property
-    def recordings(self) -> dict[str, Path | ItemInterval]:
-        """Sources of the recordings that are compared with and can be read, by key."""
+    def recordings(self) -> dict[str, Item]:
+        """Recordings that are compared with and can be read, by key."""
         return {key: self.itself[key].reference for key in self.measure.statistics.recordings}
 
     @functools.cached_property
-    def _others(self) -> dict[Target, tuple[list[_Sound], list[Path | ItemInterval]]]:
+    def _others(self) -> dict[Target, tuple[list[_Sound], list[Item]]]:
         """Sounds and motion of other recordings that each clip is also compared with."""
-        found: dict[Target, tuple[list[_Sound], list[Path | ItemInterval]]] = {}
+        found: dict[Target, tuple[list[_Sound], list[Item]]] = {}
         speech, keys = SPEECH in self.measure.groups, list(self.recordings)
         for label, pairs in self.pairs.items():
             every = list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio and speech))
@@ -235,13 +235,13 @@ class Measurer:
             return self._key_of([[w for _, w in sounds], pair.window], files)
         pairs, order = self.pairs[label], dict[Window, int]()
         files = [source for pair in pairs for source in _files(pair)]
-        files += [ItemInterval(item) for item in self.training]
+        files += self.training
         windows = [(order.setdefault(pair.of, len(order)), pair.window) for pair in pairs]
         features = self.features and self.features.fingerprint
         what = ["set", windows, _nesting(pairs), features, self.seed]
         return self._key_of(what, [*files, *self.recordings.values()])
 
-    def _key_of(self, what: list[Any], files: Iterable[Path | ItemInterval | None]) -> str | None:
+    def _key_of(self, what: list[Any], files: Iterable[Item | Path | None]) -> str | None:
         """Return a digest of files, settings and code; None if a file has no content."""
         contents = ["" if file is None else _content(file) for file in files]
         return None if None in contents else _digest_of([self._settings, what, contents])
@@ -352,7 +352,7 @@ def _after(items: list, item: Any, count: int) -> list:
     return [items[(at + k) % len(items)] for k in range(1, min(count, len(items) - 1) + 1)]
 
 
-def _files(pair: Pair) -> tuple[Path | ItemInterval | None, ...]:
+def _files(pair: Pair) -> tuple[Item | Path | None, ...]:
     return pair.generated, pair.reference, pair.audio, pair.semantic
 
 
@@ -368,7 +368,7 @@ def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, ...]]:
     ]
 
 
-def _content(source: Path | ItemInterval) -> str | None:
+def _content(source: Item | Path) -> str | None:
     """Return a digest of the files of a clip or recording, and of how they are read.
 
     None for motion that is made in memory, and for files that cannot be read.
@@ -376,10 +376,9 @@ def _content(source: Path | ItemInterval) -> str | None:
     try:
         if isinstance(source, Path):
             return file_fingerprint(source)
-        item = source.item
-        values = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
+        values = {f.name: getattr(source, f.name) for f in dataclasses.fields(source)}
         how = [value for name, value in values.items() if name not in _DESCRIPTIVE]
-        files = [path and file_fingerprint(path) for path in (item.motion, item.audio)]
+        files = [path and file_fingerprint(path) for path in (source.motion, source.audio)]
         return None if any(map(callable, how)) else _digest_of([files, how])
     except OSError:
         return None

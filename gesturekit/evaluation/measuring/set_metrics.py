@@ -10,12 +10,12 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gesturekit.corpus.manifest import Item
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -63,7 +63,7 @@ from gesturekit.evaluation.metrics.two_sample import (
     two_sample_votes,
     within_reach,
 )
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window
+from gesturekit.evaluation.pairs import Excluded, Pair, Window
 from gesturekit.evaluation.results import Interval, MetricResult
 from gesturekit.evaluation.statistics.intervals import (
     Takes,
@@ -220,7 +220,7 @@ class SetMetrics:
     """
 
     measure: ClipMetrics
-    sources: Mapping[str, Path | ItemInterval]
+    sources: Mapping[str, Item]
     training: TrainingMotion
     fps: float
     features: Extractor | None
