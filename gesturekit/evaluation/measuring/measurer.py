@@ -31,7 +31,6 @@ from gesturekit.evaluation.definitions import POOLED, SPEECH
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import (
     RecordedSound,
-    TrainingMotion,
     clip_notes,
     load_clip,
     load_recording,
@@ -160,11 +159,8 @@ class Measurer:
         )
 
     def _set(self, label: str) -> SetMeasurement:
-        training = TrainingMotion()
-        if POOLED in self.measure.groups:
-            training = TrainingMotion.of(self.training, self.seed)
         known, settings = self._of_recordings, (self.fps, self.features, self.seed)
-        metrics = SetMetrics(self.measure, self.recordings, training, *settings, known)
+        metrics = SetMetrics(self.measure, self.recordings, self.training, *settings, known)
         for pair in self.pairs[label]:
             with suppress(GestureKitError, AudioFeaturesError):  # reported by `_clip`
                 metrics.add(load_clip(pair, self.fps, self.without))

@@ -27,12 +27,13 @@ from gesturekit.evaluation.definitions import (
 )
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, compute
 from gesturekit.evaluation.measuring.clips import (
+    TRAINING_SECONDS,
     Clip,
     MotionSample,
-    TrainingMotion,
     evenly,
     halves,
     load_recording,
+    training_motion,
 )
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.hands import (
@@ -201,7 +202,7 @@ class SetMetrics:
     Attributes:
         measure: the metrics of single clips, with groups and variants.
         sources: all recordings by key.
-        training: motion of the training split; without any, takes are compared with each other.
+        training: items of the training split; without any, takes are compared with each other.
         fps: frame rate of the evaluation.
         features: the feature extractor of `gesturekit fit-features`; without it, no FGD.
         seed: seed of intervals and subsamples.
@@ -210,7 +211,7 @@ class SetMetrics:
 
     measure: ClipMetrics
     sources: Mapping[str, Item]
-    training: TrainingMotion
+    training: Sequence[Item]
     fps: float
     features: Extractor | None
     seed: int
@@ -218,7 +219,9 @@ class SetMetrics:
 
     def __post_init__(self) -> None:
         seed = self.seed
-        self._found = SetMeasurement(training_excluded=self.training.excluded)
+        pooled = POOLED in self.measure.groups
+        self._trained, excluded = training_motion(self.training if pooled else (), seed)
+        self._found = SetMeasurement(training_excluded=excluded)
         self._clips: list[_Moved] = []
         self._recordings: dict[Window, _Moved] = {}
         self._poses: list[list[np.ndarray]] = []  # of the global CCA, every k-th; and their joints
@@ -365,10 +368,11 @@ class SetMetrics:
             clips = [(n, m) for n, m in generated if names[self._recording_of[n]] == name]
             if not own or not clips:
                 continue
-            of_group = zip(self._clips, self._recording_of)
-            shared = set.intersection(*(set(c.joints) for c, n in of_group if names[n] == name))
-            joints = tuple(n for n in upper_joints(own[0][1].skeleton) if n in shared)
-            trained = self.training.with_joints(joints)
+            numbered = zip(self._clips, self._recording_of)
+            rigs = [clip.joints for clip, n in numbered if names[n] == name]
+            upper = upper_joints(own[0][1].skeleton)
+            joints = tuple(joint for joint in upper if all(joint in rig for rig in rigs))
+            trained = [(m, of) for m, of in self._trained if {*joints} <= {*m.skeleton.names}]
             speaker = every[own[0][0]].pair.speaker
             groups.append(
                 _Group(
@@ -401,7 +405,7 @@ class SetMetrics:
         ours = hand_values([hands for clips in samples for hands in clips])
         theirs, results = hand_values(recorded), dict[str, MetricResult]()
         # A held-out take may be livelier than all of training; a model can only know the latter.
-        motions = self.training.motions
+        motions = [motion for motion, _ in self._trained]
         trained = self._once("hands", lambda: hand_values(motions) if motions else {})
         for key in HAND_KEYS:
             known = np.isfinite(trained.get(key, np.nan))
@@ -429,7 +433,7 @@ class SetMetrics:
         length = round(float(np.median([len(hands.paths) for hands in recorded])))
         speaker = [
             hand_level(motion[start : start + length])
-            for motion in self.training.motions
+            for motion, _ in self._trained
             for start in range(0, motion.n_frames - length + 1, length)
         ]
         levels = [[hand_level(hands) for hands in clips] for clips in samples]
@@ -477,7 +481,7 @@ class SetMetrics:
 
     def _copying(self, side: str) -> dict[str, MetricResult]:
         """Return distances to training motion, of an arm or (side "") of all; {} without any."""
-        if not self.training.motions:
+        if not self._trained:
             return {}
         key, rng, distances = ARM_KEYS.get(side, "copying"), np.random.default_rng(self.seed), []
         for group in self._groups:
@@ -521,9 +525,10 @@ class SetMetrics:
 
     def _compared(self) -> str:
         """Return how recordings are compared with recordings, in words."""
-        if self.training.motions:
-            note = f" ({self.training.note})" if self.training.note else ""
-            return f"against the training split{note}"
+        if self._trained:
+            total, most = sum(item.duration for item in self.training), TRAINING_SECONDS
+            of_it = f" ({most / 60:.0f} of {total / 60:.0f} min of it)" if total > most else ""
+            return f"against the training split{of_it}"
         if all(group.training or len(set(group.takes.tolist())) > 1 for group in self._groups):
             return "each take against the speaker's others"
         return "one half against the other"
