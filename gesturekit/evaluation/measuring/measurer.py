@@ -175,13 +175,16 @@ class Measurer:
     def _others(self) -> dict[Target, tuple[list[_Sound], list[Item]]]:
         """Sounds and motion of other recordings that each clip is also compared with."""
         found: dict[Target, tuple[list[_Sound], list[Item]]] = {}
-        speech, keys = SPEECH in self.measure.groups, list(self.recordings)
+        speech, recorded = SPEECH in self.measure.groups, list(self.recordings.values())
+        places = {key: n for n, key in enumerate(self.recordings)}
         for label, pairs in self.pairs.items():
             every = list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio and speech))
+            at = {sound: n for n, sound in enumerate(every)}
             for index, pair in enumerate(pairs):
-                own = pair.audio, pair.window
-                sounds = _after(every, own, MISMATCHED) if pair.audio else []
-                motions = [self.recordings[key] for key in _after(keys, pair.stem, 1)]
+                sounds: list[_Sound] = []
+                if pair.audio is not None and speech:
+                    sounds = _after(every, at[pair.audio, pair.window], MISMATCHED)
+                motions = _after(recorded, places.get(pair.stem, 0), 1)
                 found[label, index] = sounds, motions
         return found
 
@@ -324,9 +327,8 @@ def _done(
         yield from in_processes(replace(measurer), left, workers)
 
 
-def _after(items: list, item: Any, count: int) -> list:
-    """Return up to `count` other items, cyclically from the next one."""
-    at = items.index(item) if item in items else 0
+def _after(items: Sequence[_T], at: int, count: int) -> list[_T]:
+    """Return up to `count` items after a place, cyclically and without its own."""
     return [items[(at + k) % len(items)] for k in range(1, min(count, len(items) - 1) + 1)]
 
 
