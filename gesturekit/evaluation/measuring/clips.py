@@ -124,7 +124,8 @@ def load_clip(pair: Pair, fps: float, without: frozenset[str] = frozenset()) -> 
             if recording.n_frames - first < 2:
                 raise MotionError(f"it ends before its window {pair.window} ({start:g} s) begins")
             recording = recording[first : first + n_frames]
-            semantic = None if semantic is None else _later(semantic, start)
+            if semantic is not None:
+                semantic = replace(semantic, times=semantic.times - start)
         joints, generated, remarks = matched(generated, recording)
         joints = tuple(name for name in joints if without_namespace(name) not in without)
         if len(joints) < 2:
@@ -265,13 +266,6 @@ def load_recording(item: Item, fps: float) -> Motion:
     return _cached(
         (item, fps), lambda: at_rate(_read(item), fps), lambda motion: motion.rotations.nbytes
     )
-
-
-def _later(track: FeatureTrack, start: float) -> FeatureTrack:
-    keep = track.times >= start
-    if not keep.any():
-        keep[-1] = True
-    return FeatureTrack(track.values[keep], track.times[keep] - start, track.spec, track.names)
 
 
 def _read(item: Item) -> Motion:
