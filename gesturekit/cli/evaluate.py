@@ -296,7 +296,7 @@ def _refuse_surplus(reference: Path | None, surplus: Sequence[str], corpus: Path
 
 
 def _evaluated(
-    folders: dict[str, Path], recordings: Items, options: Mapping[str, Any]
+    folders: dict[str, Path], recordings: Path | Items, options: Mapping[str, Any]
 ) -> Evaluation:
     """Run the evaluation with the options of the command line."""
     from gesturekit.evaluation import evaluate, load_extractor

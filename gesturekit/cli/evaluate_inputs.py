@@ -42,7 +42,7 @@ def place_of(text: str) -> str:
     return _named(text)[1]
 
 
-def recordings_of(reference: Path | None, options: Mapping[str, Any]) -> Items:
+def recordings_of(reference: Path | None, options: Mapping[str, Any]) -> Path | Items:
     """Return the recordings to compare with: a folder or file, or the items of a manifest."""
     from gesturekit.evaluation import Items
 
@@ -53,7 +53,7 @@ def recordings_of(reference: Path | None, options: Mapping[str, Any]) -> Items:
             raise click.UsageError("--split requires --corpus")
         if reference is None:
             raise click.UsageError("name the recordings: a folder (REFERENCE), or --corpus")
-        return Items.of_folder(reference, reading)
+        return Items.of_folder(reference, reading) if reading else reference
     if options["audio"] is not None or reading:
         raise click.UsageError(
             "--corpus already gives the sound and how motion is read: leave out --audio and "
@@ -64,7 +64,7 @@ def recordings_of(reference: Path | None, options: Mapping[str, Any]) -> Items:
 
 
 def folders_of(
-    names: Sequence[str], recordings: Items, options: Mapping[str, Any]
+    names: Sequence[str], recordings: Path | Items, options: Mapping[str, Any]
 ) -> dict[str, Path]:
     """Return {label: folder of motion}; sample model folders first."""
     from gesturekit.systems import bundled_models
@@ -108,7 +108,7 @@ def folders_of(
 
 
 def _sample(
-    name: str, label: str, folder: Path, recordings: Items, options: Mapping[str, Any]
+    name: str, label: str, folder: Path, recordings: Path | Items, options: Mapping[str, Any]
 ) -> None:
     """Sample a model by the protocol into a folder."""
     from gesturekit.progress import Progress
@@ -137,7 +137,7 @@ def _sample(
             pass
 
 
-def _items(recordings: Items, options: Mapping[str, Any]) -> Sequence[Item]:
+def _items(recordings: Path | Items, options: Mapping[str, Any]) -> Sequence[Item]:
     """Return the recordings that the protocol samples a model for.
 
     Raises:
@@ -146,11 +146,12 @@ def _items(recordings: Items, options: Mapping[str, Any]) -> Sequence[Item]:
     from gesturekit.rendering.samples import sequences_of, sounds_of
 
     audio = options["audio"]
-    if options["corpus"] is not None:
+    if options["corpus"] is not None and not isinstance(recordings, Path):
         return [item for item in recordings.items if item.motion is not None]
     if options["protocol"] == "multires":
         reading = read_from({name: options[name] for name in RECORDING_OPTIONS})
-        return sequences_of(recordings.path, audio, reading)
+        folder = recordings if isinstance(recordings, Path) else recordings.path
+        return sequences_of(folder, audio, reading)
     if audio is None:
         raise click.UsageError(
             "--protocol lda samples models for the recordings' windows: give --audio, or --corpus "
