@@ -44,7 +44,7 @@ _INTERNAL = {
     "measuring.clip_metrics": "ClipMetrics quick_metrics",
     "measuring.clips": "Clip load_clip read_semantic",
     "metrics.physical": "derivative low_passed",
-    "pairs": "Excluded ItemInterval Pair find_pairs",
+    "pairs": "BareItem Excluded Pair find_pairs",
     "report.text": "headline_lines interval_warnings",
     "results": "ClipResult Interval Level MetricResult ModelResult QuestionAnswer",
     "statistics.answers": "Answer Answers GENEA_COLUMNS",

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gesturekit.evaluation import (
+    BareItem,
     ClipResult,
     Evaluation,
     Interval,
-    ItemInterval,
     Level,
     MetricResult,
     ModelResult,
@@ -31,7 +31,7 @@ OWN = {"hand_q50": 0.2, "reach": 0.3, "rest": 20.0, "jerk": 10.0, "foot_skate": 
 
 def clips(**factors: float) -> list[ClipResult]:
     metrics = {key: value * factors.get(key, 1.0) for key, value in OWN.items()}
-    pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(3)]
+    pairs = [Pair(f"r{r}", f"r{r}", None, BareItem(id="a"), BareItem(id="b")) for r in range(3)]
     return [ClipResult(pair, 10.0, metrics, OWN, {}) for pair in pairs]
 
 
@@ -152,7 +152,7 @@ def test_copies_are_named():
 
 def test_whether_motion_is_new_is_not_asked_without_training_motion_each_with_its_reason():
     windows, new = result("one_nn", 0.7, 0.7), result("novelty", 1.0, 1.0)
-    trained = [replace(c, pair=replace(c.pair, reference=ItemInterval(Said("a"))))
+    trained = [replace(c, pair=replace(c.pair, reference=BareItem(id="b", split="train")))
                for c in clips()]  # fmt: skip
     for made, metrics, reason in (
         (clips(), {"one_nn": windows}, "training split"),
@@ -164,15 +164,9 @@ def test_whether_motion_is_new_is_not_asked_without_training_motion_each_with_it
         assert state in ("not measured", "cannot be answered") and reason in sentence
 
 
-class Said:
-    """An item that names a speaker and a style."""
-
-    def __init__(self, speaker: str, style: str | None = None) -> None:
-        self.speaker, self.style, self.take, self.split = speaker, style, "", "train"
-
-
 def spoken_by(speaker: str, stem: str, style: str | None = None) -> Pair:
-    return Pair(stem, stem, None, Path("a"), ItemInterval(Said(speaker, style)))
+    recording = BareItem(id="b", speaker=speaker, style=style, split="train")
+    return Pair(stem, stem, None, BareItem(id="a"), recording)
 
 
 def test_speakers_are_averaged_by_takes_and_named_where_they_differ():
@@ -218,7 +212,7 @@ def test_styles_are_groups_where_each_has_three_recordings():
     other = [spoken_by("b", "sad", "sad")]
     assert groups_of([*angry, *calm, *other]) == ["a, angry"] * 3 + ["a, calm"] * 3 + ["b"]
     assert groups_of([*angry, *calm[:2]]) == ["a"] * 5
-    assert groups_of([Pair("x", "x", None, Path("a"), Path("b"))]) == [""]
+    assert groups_of([Pair("x", "x", None, BareItem(id="a"), BareItem(id="b"))]) == [""]
 
 
 def test_a_score_is_placed_between_its_floor_and_its_ceiling():

@@ -242,7 +242,7 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
             "the hands hardly move, and what does not move is near to any motion."
         )
     if result is None:
-        splits = {getattr(getattr(c.pair.reference, "item", None), "split", "") for c in clips}
+        splits = {c.pair.reference.split for c in clips}
         text = "the clips are too short, or the rig's arms and legs are not known."
         if splits == {"train"}:
             text = "these are the recordings that the model was trained on; evaluate others."
