@@ -26,6 +26,7 @@ from gesturekit.evaluation.definitions import (
     definitions_of,
 )
 from gesturekit.evaluation.measuring.clips import (
+    RETARGETED,
     Clip,
     RecordedSound,
     load_recording,
@@ -39,7 +40,7 @@ from gesturekit.evaluation.metrics.sync import hardly_moves
 from gesturekit.evaluation.pairs import BareItem, Excluded, Pair, grouped
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points
-from gesturekit.motion.parts import body_joints
+from gesturekit.motion.parts import body_joints, find_parts
 
 
 @dataclass
@@ -159,6 +160,15 @@ class ClipInputs:
     def frame_rate(self) -> float | None:
         """Frames per second, for the variant of beat alignment that counts frames."""
         return self.motion.fps if self.variants.bas == "bailando" else None
+
+    @property
+    def limits(self) -> JointLimits | None:
+        """Limits of the joints; of a retargeted motion without wrists, whose twist is a guess."""
+        limits = self.statistics.limits
+        if limits is None or RETARGETED not in self.clip.notes:
+            return limits
+        wrists = {arm.wrist for arm in find_parts(self.clip.recording.skeleton).arms.values()}
+        return limits.of_joints([name for name in limits.joints if name not in wrists])
 
     @functools.cached_property
     def heights(self) -> np.ndarray:

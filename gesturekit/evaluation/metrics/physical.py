@@ -638,7 +638,7 @@ def worst_joint(motion: Motion, limits: JointLimits) -> float:
 def _beyond(motion: Motion, limits: JointLimits, margin: float = 0.0) -> np.ndarray:
     """Return (T, J) True where a joint is beyond its limits by more than a margin, radians."""
     away = _away(_rotations(motion, limits.joints), limits.mean)
-    return ((away < limits.low - margin) | (away > limits.high + margin)).any(axis=-1)
+    return np.maximum(limits.low - away, away - limits.high).max(axis=-1) > margin
 
 
 def _rotations(motion: Motion, joints: Sequence[str]) -> np.ndarray:
