@@ -17,10 +17,9 @@ joint's mean rotation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -149,15 +148,6 @@ class SpeedHistogram:
 
     counts: np.ndarray = field(default_factory=lambda: np.zeros(len(BINS) - 1, dtype=np.int64))
     beyond: int = 0
-
-    def to_json(self) -> dict[str, int | list[int]]:
-        """Return plain values."""
-        return {"counts": self.counts.tolist(), "beyond": self.beyond}
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> SpeedHistogram:
-        """Return the histogram that `to_json` described."""
-        return cls(np.array(values["counts"], dtype=np.int64), int(values["beyond"]))
 
     @classmethod
     def of(cls, speeds: Iterable[np.ndarray]) -> SpeedHistogram:
