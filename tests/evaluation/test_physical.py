@@ -163,6 +163,14 @@ def test_limits_are_of_each_joint_and_axis_and_5_degrees_wider(skeleton):
     assert joint_limit_share(nodding([(0, 0, 0)], skeleton), exact) == 0.0
 
 
+def test_limits_widen_by_recordings_after_those_of_the_mean(skeleton, monkeypatch):
+    monkeypatch.setattr("gesturekit.evaluation.metrics.physical.MEAN_FRAMES", 3)
+    still, turned = (nodding([(0, angle, 0)] * 4, skeleton) for angle in (0, 20))
+    limits = JointLimits.fit(iter([still, turned, still]), ("Head",))
+    assert np.degrees(limits.high) == pytest.approx(np.array([[5, 25, 5]]), abs=1e-6)
+    assert np.degrees(limits.low) == pytest.approx(np.array([[-5, -5, -5]]), abs=1e-6)
+
+
 def test_the_standing_height_is_the_median_while_standing(standing):
     low = standing_heights(standing)
     # A fifth of the time it stands a step higher.

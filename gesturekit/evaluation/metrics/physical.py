@@ -40,8 +40,6 @@ from gesturekit.motion.rotations import (
 
 CUTOFF = 6.0
 """Hz; the -6 dB frequency of the low-pass, above the frequencies of gestures."""
-HARDLY_MOVING = 0.05
-"""Below this fraction of the recording's arm speed, sync is not informative."""
 BINS = np.linspace(0.0, 0.49, 50)
 """Edges of GENEA's histogram bins, m/s on the reference body."""
 NEAR = 0.025
