@@ -89,9 +89,16 @@ def frechet_distance(generated: np.ndarray, reference: np.ndarray) -> float:
         >>> round(frechet_distance(reference + 3, reference), 6)
         9.0
     """
-    return _distance(
-        *checked_rows({"generated": generated, "reference": reference}, "sample", least=2)
-    )
+    from scipy.linalg import svdvals
+
+    sets = checked_rows({"generated": generated, "reference": reference}, "sample", least=2)
+    means = [x.mean(axis=0) for x in sets]
+    roots: list[Any] = [
+        np.linalg.qr((x - mean) / np.sqrt(len(x) - 1), mode="r") for x, mean in zip(sets, means)
+    ]
+    overlap = svdvals(roots[0] @ roots[1].T).sum()
+    apart = ((means[0] - means[1]) ** 2).sum()
+    return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
 
 
 def frechet_result(
@@ -280,23 +287,10 @@ def clip_diversity(
     return float(pdist(clips).mean())
 
 
-def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
-    from scipy.linalg import svdvals
-
-    means = [x.mean(axis=0) for x in (generated, reference)]
-    roots: list[Any] = [
-        np.linalg.qr((x - mean) / np.sqrt(len(x) - 1), mode="r")
-        for x, mean in zip((generated, reference), means)
-    ]
-    overlap = svdvals(roots[0] @ roots[1].T).sum()
-    apart = ((means[0] - means[1]) ** 2).sum()
-    return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
-
-
 def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> float:
     rng = np.random.default_rng(seed)
     values = []
     for _ in range(resamples):
         drawn = ([one[i] for i in rng.integers(0, len(one), len(one))] for one in sets)
-        values.append(_distance(*map(np.concatenate, drawn)))
+        values.append(frechet_distance(*map(np.concatenate, drawn)))
     return float(np.std(values, ddof=1))
