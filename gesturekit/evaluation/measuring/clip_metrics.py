@@ -35,7 +35,7 @@ from gesturekit.evaluation.measuring.clips import (
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.mouth import mouth_opening
-from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
+from gesturekit.evaluation.metrics.physical import JointLimits, standing_heights
 from gesturekit.evaluation.metrics.sync import hardly_moves
 from gesturekit.evaluation.pairs import BareItem, Excluded, Pair, grouped
 from gesturekit.motion import Motion
@@ -100,7 +100,7 @@ class ReferenceStatistics:
     @classmethod
     def of(cls, recordings: Mapping[str, Item], fps: float) -> ReferenceStatistics:
         """Compute the statistics of recordings; leave out rigs that differ from the first one."""
-        found, limits, joints = cls(), LimitsFit(), tuple[str, ...]()
+        found, joints = cls(), tuple[str, ...]()
         sums, n_frames = np.zeros(1), 0
         roots: set[str] = set()  # they turn with the whole body
         for key, item in recordings.items():
@@ -115,13 +115,13 @@ class ReferenceStatistics:
                 continue
             found.recordings.append(key)
             roots |= {motion.skeleton.names[0], *motion.joint_translations}
-            limits.add(motion, joints)
             sums = sums + [column.sum() for column in speed.T]
             n_frames += len(speed)
         if found.recordings:
             found.mean_speed = dict(zip(joints, (sums / n_frames).tolist()))
             if turning := [name for name in joints if name not in roots]:
-                found.limits = limits.result().of_joints(turning)
+                motions = (load_recording(recordings[key], fps) for key in found.recordings)
+                found.limits = JointLimits.fit(motions, turning)
         return found
 
 
