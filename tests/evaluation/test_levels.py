@@ -132,7 +132,7 @@ def test_models_that_ignore_the_speech_are_floors_of_the_others():
     assert {level.name: level.value for level in timing.floors} == pytest.approx(
         {MEAN_POSE: 0.0, "speech_blind": 0.3}
     )
-    assert all(fact in models[0].answers[0].sentence for fact in ("speech_blind", "0.3"))
+    assert "speech_blind" in models[0].answers[0].sentence
     assert models[0].answers[0].state == "no"
     assert [level.name for level in models[1].metrics["in_time"].floors] == [MEAN_POSE]
     models = [model("ours", 0.28, 0.25), model("speech_blind", 0.3, 0.25)]

@@ -168,7 +168,7 @@ class ClipInputs:
         if limits is None or RETARGETED not in self.clip.notes:
             return limits
         wrists = {arm.wrist for arm in find_parts(self.clip.recording.skeleton).arms.values()}
-        return limits.of_joints([name for name in limits.joints if name not in wrists])
+        return limits.without(wrists)
 
     @functools.cached_property
     def heights(self) -> np.ndarray:

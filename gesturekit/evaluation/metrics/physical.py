@@ -17,7 +17,7 @@ joint's mean rotation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -541,6 +541,12 @@ class JointLimits:
             low = np.minimum(low, away.min(axis=0))
             high = np.maximum(high, away.max(axis=0))
         return cls(tuple(joints), mean, low - MARGIN, high + MARGIN)
+
+    def without(self, names: Collection[str | None]) -> JointLimits:
+        """Return the limits of the other joints."""
+        kept = [j for j, name in enumerate(self.joints) if name not in names]
+        joints = tuple(self.joints[j] for j in kept)
+        return JointLimits(joints, self.mean[kept], self.low[kept], self.high[kept])
 
 
 def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
