@@ -30,7 +30,8 @@ from gesturekit.evaluation.statistics.likeness import likeness_result
 KEYS = [
     key
     for key, d in DEFINITIONS.items()
-    if d.group in (MOVEMENT, POOLED) and not key.startswith(("calm", "within", "copying_low"))
+    if d.group in (MOVEMENT, POOLED)
+    and not key.startswith(("calm", "within", "copying_low", "worst"))
 ]
 SEEDS = 0.06
 """Relative sd of a metric over samples of one recording: the demo model's reach and hand speed have
