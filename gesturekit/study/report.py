@@ -273,8 +273,8 @@ def _points(estimates: dict[str, Estimate], middle: float | None, label: str) ->
     figure = new_figure(0.9 + 0.36 * len(estimates))
     axes = figure.subplots()
     names = [shortened(name, 44) for name in estimates]
-    values = [(found.value, found.low, found.high) for found in estimates.values()]
-    draw_rows(axes, names, {0: _INK}, lambda row, _: values[row], 0.0)
+    bars = [[(found.value, found.low, found.high)] for found in estimates.values()]
+    draw_rows(axes, names, bars, [_INK], 0.0)
     if middle is not None:
         axes.axvline(middle, color=_GREY, lw=1.2, ls="--")
     axes.set_xlabel(label)

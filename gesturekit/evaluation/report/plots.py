@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -89,9 +89,9 @@ def _ratios(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
         return None
     figure = new_figure(0.9 + 0.36 * len(keys) * max(1.0, 0.6 * len(models)))
     axes = figure.subplots()
-    inks = {i: colour(i) for i in range(len(models))}
-    titles = [DEFINITIONS[key].title for key in keys]
-    draw_rows(axes, titles, inks, lambda row, i: _ratio(models[i], keys[row]), 0.7)
+    inks = {model.label: colour(i) for i, model in enumerate(models)}
+    ratios = [[_ratio(model, key) for model in models] for key in keys]
+    draw_rows(axes, [DEFINITIONS[key].title for key in keys], ratios, [*inks.values()], 0.7)
     axes.axvline(1.0, **_DASHED)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
@@ -104,7 +104,7 @@ def _ratios(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
         "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
     )
     axes.grid(axis="x", color=_LINE)
-    _legend(figure, {model.label: inks[i] for i, model in enumerate(models)})
+    _legend(figure, inks)
     return figure
 
 
@@ -165,23 +165,23 @@ def _histograms(evaluation: Evaluation) -> matplotlib.figure.Figure | None:
 
 
 def _patches(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
-    sampled = {i: m.by_recording for i, m in enumerate(models) if m.by_recording}
-    inks = {i: colour(i) for i in sampled}
-    stems = sorted({stem for by_recording in sampled.values() for stem in by_recording})
+    inks = {model.label: colour(i) for i, model in enumerate(models) if model.by_recording}
+    models = [model for model in models if model.by_recording]
+    stems = sorted({stem for model in models for stem in model.by_recording})
     patches = [d for d in definitions_of("comparison") if d.group == PATCHES]
-    patches = [d for d in patches if any(d.key in models[i].metrics for i in sampled)]
+    patches = [d for d in patches if any(d.key in model.metrics for model in models)]
     if len(stems) < 2 or not patches:
         return None
     stems = stems[:_MOST_RECORDINGS]
-    figure = new_figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(sampled)))
+    figure = new_figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(models)))
     columns = figure.subplots(1, len(patches), sharey=True, squeeze=False)[0]
     for axes, definition in zip(columns, patches, strict=True):
-
-        def ends(row: int, i: int, key: str = definition.key) -> Ends | None:
-            interval = sampled[i].get(stems[row], {}).get(key)
-            return None if interval is None else _ends(interval)
-
-        draw_rows(axes, [shortened(stem, 26) for stem in stems], inks, ends, 0.6)
+        intervals = [
+            [model.by_recording.get(stem, {}).get(definition.key) for model in models]
+            for stem in stems
+        ]
+        bars = [[None if one is None else _ends(one) for one in row] for row in intervals]
+        draw_rows(axes, [shortened(stem, 26) for stem in stems], bars, [*inks.values()], 0.6)
         if definition.unit == "%":
             axes.set_xlim(-4, 104)
             axes.set_xlabel("% of windows")
@@ -191,31 +191,31 @@ def _patches(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
             axes.set_xlabel("mean distance of frames")
         axes.grid(color=_LINE)
         axes.set_title(definition.name, **_TITLE)
-    _legend(figure, {models[i].label: ink for i, ink in inks.items()})
+    _legend(figure, inks)
     return figure
 
 
 def draw_rows(
     axes: Axes,
     names: Sequence[str],
-    inks: Mapping[int, str],
-    ends: Callable[[int, int], Ends | None],
+    bars: Sequence[Sequence[Ends | None]],
+    inks: Sequence[str],
     height: float,
 ) -> None:
-    """Draw a horizontal error bar of each model in each row.
+    """Draw rows of horizontal error bars.
 
     Args:
         axes: where to draw.
         names: of the rows.
-        inks: {index of a model: colour}.
-        ends: function of row and index of the model to its value and interval.
+        bars: values of each row with the ends of their intervals; None leaves a place empty.
+        inks: colour of each place in a row.
         height: share of a row that its bars take.
     """
-    for row in range(len(names)):
-        for place, (i, ink) in enumerate(inks.items()):
-            if (known := ends(row, i)) is not None:
-                y = row + (place - (len(inks) - 1) / 2) * height / len(inks)
-                _error_bar(axes, y, known, ink, vertical=False)
+    for at, row in enumerate(bars):
+        for place, (ends, ink) in enumerate(zip(row, inks, strict=True)):
+            if ends is not None:
+                y = at + (place - (len(inks) - 1) / 2) * height / len(inks)
+                _error_bar(axes, y, ends, ink, vertical=False)
     name_rows(axes, names)
 
 

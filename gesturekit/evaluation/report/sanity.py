@@ -16,6 +16,7 @@ from gesturekit.evaluation.definitions import HEADLINE, Definition
 from gesturekit.evaluation.measuring.made_motion import bad_motion
 from gesturekit.evaluation.pairs import file_of, files_by_key, motion_files
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.paired import distance
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import find_parts
@@ -199,10 +200,8 @@ def _notices(definition: Definition, result: MetricResult, own: MetricResult) ->
         return value < TIMED * itself
     if result.chance is not None and own.chance is not None:
         return value - result.chance < TIMED * (itself - own.chance)
-    if definition.enough:
-        more = (value - goal) * (1.0 if definition.enough == "at most" else -1.0)
-        return more > CHANGE * goal
-    return key != "calm_lively_slope" and abs(value - goal) > CHANGE * abs(goal) + 1e-9
+    away = float(distance(key, value, goal))
+    return key != "calm_lively_slope" and away > CHANGE * abs(goal) + 1e-9
 
 
 def table_lines(evaluation: Evaluation) -> Iterator[str]:

@@ -296,7 +296,7 @@ def differences(evaluation: Evaluation, before: Mapping[str, Any]) -> Iterator[s
     )
     if len(old) == len(new) == 1:
         old = dict(zip(new, old.values(), strict=True))
-    for label in [*new, *(name for name in old if name not in new)]:
+    for label in new | old:
         if label not in old or label not in new:
             yield f"{label}: only {'now' if label in new else 'before'}"
             continue
@@ -307,7 +307,7 @@ def differences(evaluation: Evaluation, before: Mapping[str, Any]) -> Iterator[s
 
 def _changed_values(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each value of a model that differs, is new or is gone."""
-    for key in [*new, *(key for key in old if key not in new)]:
+    for key in {**new, **old}:
         name = DEFINITIONS[key].name if key in DEFINITIONS else key
         if key not in old or key not in new:
             yield f"  {name}: only {'now' if key in new else 'before'}"

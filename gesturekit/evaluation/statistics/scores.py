@@ -203,14 +203,11 @@ def scores_of(ratings: Ratings, kept: np.ndarray, systems: Sequence[str], seed: 
     values, note = ratings.value[kept].astype(float), ""
     if not ratings.paired:
         values, note = _without_raters_and_clips(values, system, rater, clip)
-    order, ends = np.argsort(system, kind="stable"), np.cumsum(np.bincount(system))[:-1]
-    given = np.split(values[order], ends)
+    of_system = (system[:, None] == np.arange(len(names))).astype(float)
     resampled = []
-    for weights in resampled_weights(rater[order], clip[order], RESAMPLES, seed, len(values)):
-        parts = zip(np.split(weights, ends, axis=1), given, strict=True)
+    for weights in resampled_weights(rater, clip, RESAMPLES, seed, len(values)):
         with np.errstate(invalid="ignore"):
-            means = [part @ of_system / part.sum(axis=1) for part, of_system in parts]
-        resampled.append(np.stack(means, axis=1))
+            resampled.append(weights @ (of_system * values[:, None]) / (weights @ of_system))
     p = []
     for one, other in combinations(range(len(names)), 2):
         rows = (system == one) | (system == other)
