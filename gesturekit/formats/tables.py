@@ -74,16 +74,16 @@ def csv_rows(
 
 
 def read_table(
-    path: Path, columns: Sequence[str], optional: Sequence[str] = ()
+    path: Path, columns: Sequence[str], optional: Sequence[str] | None = ()
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the rows of a table, each with its location (file and line) and its cells by column.
+    """Yield the rows of a CSV table, each with its location (file and line) and cells by column.
 
-    Columns may be in any order; blank lines are skipped.
+    Columns may be in any order and their names in capitals; for separators see `csv_rows`.
 
     Args:
         path: the file.
         columns: required columns.
-        optional: optional columns.
+        optional: optional columns; None where a table may have any others.
 
     Raises:
         FormatError: the file is missing, too large, or not such a table; with its line.
@@ -92,13 +92,17 @@ def read_table(
     where, header = next(rows, (str(path), []))
     if not header:
         raise FormatError(f"{path}: empty; a table begins with the line {','.join(columns)}")
-    names = _names(where, header, columns, optional)
+    names = [name.lower() for name in header]
+    if optional is None:
+        optional = [name for name in names if name not in columns]
+    _check_columns(where, names, columns, optional)
     for where, cells in rows:
         yield where, dict(zip(names, cells, strict=True))
 
 
-def _names(where: str, row: list[str], columns: Sequence[str], optional: Sequence[str]) -> list:
-    names = [cell.lower() for cell in row]
+def _check_columns(
+    where: str, names: list[str], columns: Sequence[str], optional: Sequence[str]
+) -> None:
     known = [*columns, *optional]
     expected = "expected " + ",".join([*columns, *(f"[{name}]" for name in optional)])
     unknown = [name for name in names if name not in known]
@@ -109,7 +113,6 @@ def _names(where: str, row: list[str], columns: Sequence[str], optional: Sequenc
     if problems:
         hint = did_you_mean(unknown[0], known, "did you mean {}? ") if unknown else ""
         raise FormatError(f"{where}: {problems[0]}; {hint}{expected}")
-    return names
 
 
 def _number(where: str, column: str, cell: str, low: float, high: float, kind: str) -> float:

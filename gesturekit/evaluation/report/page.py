@@ -30,7 +30,7 @@ from gesturekit.evaluation.definitions import (
     shown_in,
 )
 from gesturekit.evaluation.measuring.clips import load_clip, load_wave
-from gesturekit.evaluation.pairs import WINDOW_SECONDS
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, grouped
 from gesturekit.evaluation.report import text
 from gesturekit.evaluation.report.plots import RECORDING, all_plots, colour
 from gesturekit.evaluation.results import (
@@ -154,13 +154,13 @@ def _with_short_names(evaluation: Evaluation) -> Evaluation:
 def _warnings(evaluation: Evaluation) -> Iterator[str]:
     """Yield warnings on intervals, and the notes of models, each once."""
     yield from (f"{warning}." for warning in text.interval_warnings(evaluation))
-    said: dict[str, list[str]] = {}
+    notes: list[tuple[str, str]] = []
     for model in evaluation.models:
-        left_out = sum(item.what == "clip" for item in model.excluded)
-        first = f"left out: {counted(left_out, 'clip')}; the reasons are below"
-        for note in ([first] if left_out else []) + model.notes:
-            said.setdefault(note, []).append(model.label)
-    for note, labels in said.items():
+        if left_out := sum(item.what == "clip" for item in model.excluded):
+            note = f"left out: {counted(left_out, 'clip')}; the reasons are below"
+            notes.append((note, model.label))
+        notes += [(note, model.label) for note in model.notes]
+    for note, labels in grouped(notes).items():
         yield f"{', '.join(labels)}: {note}." if len(evaluation.models) > 1 else f"{note}."
 
 
