@@ -52,7 +52,7 @@ _INTERNAL = {
         "Takes holm interval_of interval_of_statistic interval_over_samples pseudo_values "
         "scaled_like standard_error whole_set"
     ),
-    "statistics.model_metrics": "above_chance informative metric_results",
+    "statistics.model_metrics": "above_chance metric_results",
     "statistics.paired": "contests distance p_of_difference",
     "statistics.questions": "answer_questions answers_of verdict",
 }
