@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 
 from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.pairs import grouped
 from gesturekit.formats.tables import csv_rows
 from gesturekit.wording import counted, did_you_mean, listed, printable
 
@@ -350,10 +351,9 @@ def _comparisons(ratings: Ratings) -> tuple[Answer, ...]:
     Raises:
         EvaluationError: no rater rated two systems for a clip, or too many.
     """
-    pages: dict[tuple[int, ...], list[int]] = defaultdict(list)
     units = (ratings.rater, ratings.clip, ratings.question)
-    for place, page in enumerate(zip(*(unit.tolist() for unit in units), strict=True)):
-        pages[page].append(place)
+    each = zip(*(unit.tolist() for unit in units), strict=True)
+    pages = grouped((page, place) for place, page in enumerate(each))
     if (n := sum(len(places) * (len(places) - 1) // 2 for places in pages.values())) > _MOST_PAIRS:
         raise EvaluationError(
             f"{n} comparisons of two systems that a rater rated for a clip: more than can be "

@@ -191,19 +191,16 @@ def scores_of(ratings: Ratings, kept: np.ndarray, systems: Sequence[str], seed: 
         systems: systems in the wanted order; those without any rating are left out.
         seed: seed of the bootstrap.
     """
-    at = {name: index for index, name in enumerate(ratings.systems)}
-    has = set(ratings.system[kept].tolist())
-    names = tuple(name for name in systems if at.get(name) in has)
-    places = np.zeros(len(at), int)
-    places[[at[name] for name in names]] = range(len(names))
-    system = places[ratings.system[kept]]
+    given = np.array(ratings.systems, object)[ratings.system[kept]]
+    names = tuple(name for name in systems if name in given)
+    of_system = (given[:, None] == np.array(names, object)).astype(float)
+    system = of_system.argmax(axis=1)
     rater, clip = (
         np.unique(column[kept], return_inverse=True)[1] for column in (ratings.rater, ratings.clip)
     )
     values, note = ratings.value[kept].astype(float), ""
     if not ratings.paired:
         values, note = _without_raters_and_clips(values, system, rater, clip)
-    of_system = (system[:, None] == np.arange(len(names))).astype(float)
     resampled = []
     for weights in resampled_weights(rater, clip, RESAMPLES, seed, len(values)):
         with np.errstate(invalid="ignore"):
