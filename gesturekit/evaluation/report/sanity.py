@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from audio_features import AudioFeaturesError, Wave
-from gesturekit.corpus import Item, Manifest
+from gesturekit.corpus import Item
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.comparison import evaluate
 from gesturekit.evaluation.definitions import HEADLINE, Definition
 from gesturekit.evaluation.measuring.made_motion import bad_motion
-from gesturekit.evaluation.pairs import file_of, files_by_key, motion_files
+from gesturekit.evaluation.pairs import Items, file_of, files_by_key, motion_files
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.paired import distance
 from gesturekit.formats.sources import SPEECH_SUFFIXES
@@ -66,12 +66,10 @@ def run_sanity(
         reasons = "; ".join(f"{key}: {reason}" for key, reason in list(left_out.items())[:2])
         raise EvaluationError(f"{recordings}: no recording can be used: {reasons}")
     held_out, training = _split(items)
+    reference = Items(recordings, "test", tuple(held_out), others=tuple(training))
     with tempfile.TemporaryDirectory(prefix="gesturekit_sanity_") as folder:
-        root = Path(folder)
-        Manifest([*held_out, *training]).save(root / "corpus.jsonl")
-        models = _write(root, held_out, training, options.get("seed", 0))
-        evaluation = evaluate(models, root / "corpus.jsonl", split="test", **options)
-    return replace(evaluation, reference=recordings), left_out
+        models = _write(Path(folder), held_out, training, options.get("seed", 0))
+        return evaluate(models, reference, **options), left_out
 
 
 def _sounds(recordings: Path, audio: Path | None) -> Mapping[str, Path]:
