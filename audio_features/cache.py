@@ -15,10 +15,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from audio_features.atomic import atomic_write
-from audio_features.errors import AudioFeaturesError, FeatureError
+from audio_features.errors import AudioFeaturesError
 from audio_features.kinds import digest_of_sources, installed_versions
 from audio_features.track import FeatureTrack
 
@@ -63,9 +61,9 @@ class Contents:
 class DiskCache:
     """Entries on disk, each a file named by a digest; see `FeatureCache`.
 
-    Several processes may share a folder. An entry gets its final name only when it is complete. If
-    the folder cannot be written to, nothing is stored, with one warning. Beyond the size limit the
-    least recently used entries of all kinds are removed.
+    Several processes may share a folder. An entry gets its final name only when it is complete, and
+    begins with its checksum. If the folder cannot be written to, nothing is stored, with one
+    warning. Beyond the size limit the least recently used entries of all kinds are removed.
 
     Args:
         folder: folder of the cache; None means `default_folder()`.
@@ -81,22 +79,36 @@ class DiskCache:
         self._unmeasured = max_bytes
         self._warned = False
 
-    def path(self, kind: str, key: str, suffix: str) -> Path:
+    def path(self, kind: str, key: str) -> Path:
         """Return the file of an entry: `kind` of `KINDS`, `key` a hexadecimal digest."""
-        return self.folder / kind / key[:2] / f"{key}{suffix}"
+        return self.folder / kind / key[:2] / key
 
-    def mark_used(self, path: Path) -> None:
-        """Set the time of last use of an entry."""
+    def read(self, kind: str, key: str) -> bytes | None:
+        """Return an entry and mark it as used; None, and a warning if it is damaged."""
+        path = self.path(kind, key)
+        try:
+            with path.open("rb") as file:
+                checksum, data = file.read(hashlib.sha256().digest_size), file.read()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            log.warning("%s: damaged (%s); it is computed again", path, error)
+            return None
+        if checksum != hashlib.sha256(data).digest():
+            log.warning("%s: damaged (its checksum is wrong); it is computed again", path)
+            return None
         with contextlib.suppress(OSError):  # another user's entry, or a read-only disk
             os.utime(path)
+        return data
 
-    def write(self, path: Path, data: bytes) -> None:
+    def write(self, kind: str, key: str, data: bytes) -> None:
         """Store an entry, unless it is larger than the limit."""
         if len(data) > self.max_bytes:
             return
         try:
-            with atomic_write(path, suffix=_PART) as temporary:
-                temporary.write_bytes(data)
+            written = atomic_write(self.path(kind, key), suffix=_PART)
+            with written as temporary, temporary.open("wb") as file:
+                file.writelines((hashlib.sha256(data).digest(), data))
             self._unmeasured += len(data)
             # Measuring the folder after every write would be slow. Other processes write too, so
             # it is measured from time to time.
@@ -211,7 +223,7 @@ class FeatureCache(DiskCache):
         if not getattr(extractor, "worth_caching", True):
             return extractor.extract(wave)
 
-        from safetensors.numpy import save
+        from safetensors.numpy import load, save
 
         made_of = {
             "sound": wave.digest,
@@ -222,31 +234,11 @@ class FeatureCache(DiskCache):
         }
         text = json.dumps(made_of, sort_keys=True, allow_nan=False)
         key = hashlib.sha256(text.encode()).hexdigest()
-        path = self.path(KINDS[0], key, ".safetensors")
-        track = self._read(path, extractor)
-        if track is None:
-            track = extractor.extract(wave)
-            about = {"checksum": _checksum(track.values, track.times)}
-            self.write(path, save({"values": track.values, "times": track.times}, about))
-        return track
-
-    def _read(self, path: Path, extractor: Extractor) -> FeatureTrack | None:
-        """Read an entry and mark it as used; None if it is missing or damaged."""
-        from safetensors import SafetensorError, safe_open
-
-        try:
-            with safe_open(path, framework="numpy") as file:
-                about = file.metadata() or {}
-                values, times = file.get_tensor("values"), file.get_tensor("times")
-            if about.get("checksum") != _checksum(values, times):
-                raise FeatureError("its checksum is wrong")
-            track = FeatureTrack(values, times, extractor.spec, extractor.names)
-        except FileNotFoundError:
-            return None
-        except (OSError, SafetensorError, TypeError, ValueError) as error:
-            log.warning("%s: damaged (%s); extracting again", path, error)
-            return None
-        self.mark_used(path)
+        data = self.read(KINDS[0], key)
+        if data is not None:
+            return FeatureTrack(**load(data), spec=extractor.spec, names=extractor.names)
+        track = extractor.extract(wave)
+        self.write(KINDS[0], key, save({"values": track.values, "times": track.times}))
         return track
 
 
@@ -267,11 +259,3 @@ def cache_from_environment() -> FeatureCache:
 @lru_cache
 def _shared(folder: Path, max_bytes: int) -> FeatureCache:
     return FeatureCache(folder, max_bytes=max_bytes)
-
-
-def _checksum(values: np.ndarray, times: np.ndarray) -> str:
-    digest = hashlib.sha256()
-    for array in (values, times):
-        digest.update(f"{array.dtype} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).data)
-    return digest.hexdigest()

@@ -143,15 +143,17 @@ def main() -> None:
 def same_bytes(folder: Path, sounds: Path, whole: dict[str, str]) -> None:
     """Compare an item alone, another order, Slurm's local launcher, and shards by hand."""
     rng = random.Random(0)
+    listed = sounds / "listed.txt"  # a file of a list has its name in the folder, and its motion
     for name in rng.sample(sorted(whole), 3):
         shutil.rmtree(folder / "alone", ignore_errors=True)
-        render(sounds / Path(name).with_suffix(".wav"), "--out", folder / "alone", code=0)
-        assert list(results(folder / "alone").values()) == [whole[name]], name
+        listed.write_text(str(Path(name).with_suffix(".wav")))
+        render(listed, "--out", folder / "alone", code=0)
+        assert results(folder / "alone") == {name: whole[name]}
     order = [str(path.relative_to(sounds)) for path in sounds.rglob("*.wav")]
     rng.shuffle(order)
-    (sounds / "order.txt").write_text("\n".join(order))
-    render(sounds / "order.txt", "--out", folder / "shuffled", code=1)
-    (sounds / "order.txt").unlink()
+    listed.write_text("\n".join(order))
+    render(listed, "--out", folder / "shuffled", code=1)
+    listed.unlink()
     assert results(folder / "shuffled") == whole
     print("same bytes: 3 items alone, and all in another order")
     slurm = ("--launcher", "slurm", "--jobs", 2, "--launcher-option", "cluster=local")

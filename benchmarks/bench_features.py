@@ -45,13 +45,6 @@ def main() -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         cache = af.FeatureCache(folder)
-        pyin = af.Prosody("pyin")
-        figures["cache_pyin"] = compare(
-            lambda: cache.extract(pyin, fresh(wave)),
-            lambda: pyin.extract(wave),
-            1,
-            "60 s; other: extracting by pyin; ours: found in the cache, sound digest included",
-        )
         # Why light features are not kept: what a cache could save at best.
         kept = Kept(af.Stack([af.LogMel(24), af.Prosody()]))
         figures["cache_light_if_it_were_kept"] = compare(

@@ -95,7 +95,7 @@ def print_power(rng: np.random.Generator, studies: int) -> None:
         raters = raters_needed(expected, answers, clips)
         assert raters is not None
         found = [
-            compare(Votes.of(different(rng, expected, raters, answers, clips)), 0, 1).p < 0.05
+            compare(Votes.of(different(rng, expected, raters, answers, clips)))[0].p < 0.05
             for _ in range(studies)
         ]
         power = power_of(expected, raters, answers, clips)

@@ -223,7 +223,6 @@ def rendered_baselines(
 
 def trained_on(model: ModelResult, name: str) -> str:
     """Return a warning if `name`, a model, was trained on recordings of its evaluation, or ""."""
-    from gesturekit.evaluation.pairs import ItemInterval
     from gesturekit.rendering.renderer import model_of_results
     from gesturekit.systems import model_folder
     from gesturekit.training.origin import is_trained_on, load_sources
@@ -232,14 +231,9 @@ def trained_on(model: ModelResult, name: str) -> str:
     measured = {clip.pair.stem: clip.pair for clip in model.clips}
     seen = []
     for stem, pair in measured.items():
-        if isinstance(pair.reference, ItemInterval):
-            item = pair.reference.item
-            stretch = {"start": item.motion_start, "duration": item.duration}
-            known = is_trained_on(sources, item.motion, item.audio, **stretch)
-        else:
-            audio = pair.audio if isinstance(pair.audio, Path) else None
-            known = is_trained_on(sources, pair.reference, audio)
-        seen += [stem] if known else []
+        item, audio = pair.reference, pair.audio.audio if pair.audio else None
+        stretch = {"start": item.motion_start, "duration": item.duration}
+        seen += [stem] if is_trained_on(sources, item.motion, audio, **stretch) else []
     if not seen:
         return ""
     return (

@@ -120,11 +120,14 @@ class Item:
     split: str = "train"
     text: str | None = None
     mirror: bool = False
-    conditions: Mapping[str, Path] = field(default_factory=dict)
+    conditions: Mapping[str, Path] = field(default_factory=dict, hash=False)
     channel: int | None = None
-    reading: Mapping[str, Any] = field(default_factory=dict)
-    digests: Mapping[str, str] = field(default_factory=dict)
-    audible: Sequence[tuple[float, float]] = ()
+    reading: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    digests: Mapping[str, str] = field(default_factory=dict, hash=False)
+    audible: Sequence[tuple[float, float]] = field(default=(), hash=False)
+
+    def __str__(self) -> str:
+        return self.id
 
     def __post_init__(self) -> None:
         check_id(self.id)

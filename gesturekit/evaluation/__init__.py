@@ -22,7 +22,7 @@ _PUBLIC = {
     "metrics.physical": (
         "JointLimits SpeedHistogram acceleration arm_speed arm_speed_ratio bone_length_change "
         "feet_above_floor floor_penetration foot_skate hellinger jerk jerk_ratio "
-        "joint_limit_share joint_speed max_speed standing_heights wrist_speed"
+        "joint_limit_share joint_speed max_speed standing_heights worst_joint wrist_speed"
     ),
     "metrics.rhythm": (
         "BeatResult beat_alignment beat_consistency motion_beats music_beats speech_onsets"
@@ -44,7 +44,7 @@ _INTERNAL = {
     "measuring.clip_metrics": "ClipMetrics quick_metrics",
     "measuring.clips": "Clip load_clip read_semantic",
     "metrics.physical": "derivative low_passed",
-    "pairs": "Excluded ItemInterval Pair find_pairs",
+    "pairs": "BareItem Excluded Pair find_pairs",
     "report.text": "headline_lines interval_warnings",
     "results": "ClipResult Interval Level MetricResult ModelResult QuestionAnswer",
     "statistics.answers": "Answer Answers GENEA_COLUMNS",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +29,6 @@ from gesturekit.evaluation.measuring.clips import (
     RETARGETED,
     forget_files,
     load_clip,
-    read_motion,
     without_namespace,
 )
 from gesturekit.evaluation.measuring.made_motion import baseline_pairs
@@ -51,14 +49,12 @@ from gesturekit.evaluation.pairs import (
     Window,
     find_pairs,
     grouped,
-    recordings,
 )
 from gesturekit.evaluation.results import ClipResult, Evaluation, Interval, ModelResult
 from gesturekit.evaluation.statistics.intervals import interval_over_samples
 from gesturekit.evaluation.statistics.model_metrics import metric_results
 from gesturekit.evaluation.statistics.questions import answer_questions
 from gesturekit.field_docs import build_options
-from gesturekit.motion import Motion
 from gesturekit.motion.parts import body_joints
 from gesturekit.wording import counted, listed
 
@@ -185,7 +181,7 @@ def evaluate(
     if not isinstance(generated, Mapping):
         generated = {"generated": generated}
     folders = {label: Path(folder) for label, folder in generated.items()}
-    reference, split = _recordings(reference, chosen)
+    reference = _recordings(reference, chosen)
     pairs, itself = _pairs(folders, reference, chosen)
     fps = _frame_rate(next(iter(pairs.values())))
     pairs |= baseline_pairs(chosen.baselines, pairs, reference, fps)
@@ -200,35 +196,35 @@ def evaluate(
     models[0].excluded += [*measurer.measure.statistics.excluded, *whole.training_excluded]
     return Evaluation(
         models=models,
-        reference=reference.path if isinstance(reference, Items) else reference,
+        reference=reference.path,
         fps=fps,
         protocol=chosen.protocol,
-        settings=chosen.to_json(split),
+        settings=chosen.to_json(reference.split or None),
         recorded_speeds=whole.recorded_speeds,
         recorded_wrists=whole.recorded_wrists,
     )
 
 
-def _judge(models: Sequence[ModelResult], reference: Path | Items, protocol: str) -> None:
+def _judge(models: Sequence[ModelResult], reference: Items, protocol: str) -> None:
     """Answer the three questions, and add notes on models and recordings that flatter them."""
     for model in models:
         model.notes += _protocol_notes(model, protocol)
     if POOLED in PROTOCOLS[protocol]:
         answer_questions(models)
     _mark_unlike(models)
-    if isinstance(reference, Items) and reference.split:
+    if reference.split:
         beside = neighbours((*reference.items, *reference.others), reference.split)
         models[0].notes += [beside] if beside else []
 
 
 def _pairs(
-    folders: Mapping[str, Path], reference: Path | Items, options: EvaluationOptions
+    folders: Mapping[str, Path], reference: Items, options: EvaluationOptions
 ) -> tuple[dict[str, Pairs], dict[str, Pair]]:
     """Return {label: clips of the recordings that all models have}, and each recording with itself.
 
     The latter are of all splits; both have the takes that the options give.
     """
-    sources = recordings(reference, all_splits=True)
+    sources = reference.recordings(all_splits=True)
     takes = takes_of(list(sources), options.take_pattern, options.take_table)
     itself = {k: Pair(k, k, None, s, s, take=takes.get(k, "")) for k, s in sources.items()}
     audio, semantic = (p if p is None else Path(p) for p in (options.audio, options.semantic))
@@ -243,27 +239,27 @@ def _pairs(
     if takes:
         first.notes += merged_speakers((p.stem, p.speaker, p.take) for p in first.pairs)
     else:
-        own = {p.stem: partial(read_motion, p.reference) for p in first.pairs if p.take == p.stem}
+        own = {p.stem: p.reference.load_motion for p in first.pairs if p.take == p.stem}
         first.notes += pieces_of_takes(own)
     return found, itself
 
 
 def _measurer(
     pairs: Mapping[str, Pairs],
-    reference: Path | Items,
+    reference: Items,
     fps: float,
     itself: Mapping[str, Pair],
     options: EvaluationOptions,
 ) -> Measurer:
     """Return all that is to be measured."""
     # In Table 4 of Alexanderson et al. 2023 sets are compared with the full dataset: all splits.
-    compared = recordings(reference, all_splits=options.protocol == "lda")
+    compared = reference.recordings(all_splits=options.protocol == "lda")
     statistics = ReferenceStatistics.of(compared, fps)
     return Measurer(
         measure=ClipMetrics(statistics, options.groups, options.variants, options.cheap),
         pairs={label: some.pairs for label, some in pairs.items()},
         itself=itself,
-        training=reference.training if isinstance(reference, Items) else (),
+        training=reference.training,
         fps=fps,
         length=MULTIRES_LENGTH if options.protocol == "multires" else 1.0,
         features=options.features,
@@ -272,26 +268,23 @@ def _measurer(
     )
 
 
-def _recordings(
-    reference: str | Path | Items, options: EvaluationOptions
-) -> tuple[Path | Items, str | None]:
-    """Return the recordings of a path, of a manifest as `Items`, and their split.
+def _recordings(reference: str | Path | Items, options: EvaluationOptions) -> Items:
+    """Return the recordings of a folder, a file or a manifest.
 
     Raises:
-        CorpusError: the manifest cannot be read, or has no item of the split.
+        CorpusError: there are none, or the manifest cannot be read or has no item of the split.
         EvaluationError: a split is given without a manifest, or sound beside one.
     """
-    problem = ""
     if not isinstance(reference, Items) and Path(reference).suffix.lower() == ".jsonl":
         reference = Items.of_manifest(Path(reference), options.split or "test")
     elif options.split is not None:
-        problem = f"split={options.split!r} chooses items of a manifest (.jsonl): {reference}"
-    split = reference.split if isinstance(reference, Items) else ""
-    if split and options.audio is not None and not problem:
-        problem = f"{reference} already gives the sound: leave audio out"
-    if problem:
-        raise EvaluationError(problem)
-    return reference if isinstance(reference, Items) else Path(reference), split or None
+        wrong = f"split={options.split!r} chooses items of a manifest (.jsonl): {reference}"
+        raise EvaluationError(wrong)
+    if not isinstance(reference, Items):
+        return Items.of_folder(Path(reference))
+    if reference.split and options.audio is not None:
+        raise EvaluationError(f"{reference} already gives the sound: leave audio out")
+    return reference
 
 
 def _frame_rate(pairs: Pairs) -> float:
@@ -299,8 +292,7 @@ def _frame_rate(pairs: Pairs) -> float:
     reasons = []
     for pair in pairs.pairs:
         try:
-            if isinstance(pair.generated, Path):
-                return Motion.load(pair.generated).fps
+            return pair.generated.load_motion().fps
         except GestureKitError as error:
             reasons.append(str(error))
     raise EvaluationError(f"no generated clip can be read: {reasons[0]}")
@@ -437,6 +429,12 @@ def _mark_unlike(models: Sequence[ModelResult]) -> None:
                 f"{changed} of {counted(len(model.clips), 'clip')} are on another rig than their "
                 "recording: they were retargeted to it before they were measured, and feet and "
                 "reach are partly those of the retargeting"
+            )
+        short = sum("shorter than" in note for clip in model.clips for note in clip.notes)
+        if short > len(model.clips) / 2:
+            model.notes.append(
+                f"{short} of {counted(len(model.clips), 'clip')} are shorter than their "
+                "recordings, which are compared as a whole"
             )
         own = _lengths(model)
         shared = [window for window in own if window in usual]

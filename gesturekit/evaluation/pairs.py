@@ -11,17 +11,17 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gesturekit.corpus.manifest import Item, Manifest
-from gesturekit.errors import CorpusError
+from gesturekit.errors import CorpusError, FormatError, MotionError
 from gesturekit.formats.registry import MOTION_SUFFIXES
 from gesturekit.formats.sources import SPEECH_SUFFIXES, load, visible_folders
 from gesturekit.wording import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
+    from audio_features import Wave
     from gesturekit.motion import Motion
 
 _MOTION = tuple(sorted(MOTION_SUFFIXES, key=lambda suffix: suffix != ".npz"))
@@ -39,24 +39,9 @@ Window = tuple[str, int | None]
 """A recording and the index of its 10 s window; None for the whole recording."""
 
 
-@dataclass(frozen=True, eq=False)
-class ItemInterval:
-    """An interval of a recording, given by a manifest item instead of a file."""
-
-    item: Item
-
-    @property
-    def name(self) -> str:
-        """The item's id."""
-        return self.item.id
-
-    def __str__(self) -> str:
-        return self.name
-
-
 @dataclass(frozen=True)
 class Items:
-    """Recordings given by a manifest, or by a folder with reading options.
+    """Recordings given by a manifest, or by a folder.
 
     Attributes:
         path: the manifest, or the folder or file.
@@ -72,7 +57,7 @@ class Items:
         >>> motion = gk.load("demo").generate(seconds=1)
         >>> motion.save(folder / "talk" / "a.bvh")
         >>> motion.save(folder / "talk" / "b.npz")
-        >>> [item.id for item in Items.of_folder(folder / "talk", {}).items]
+        >>> [item.id for item in Items.of_folder(folder / "talk").items]
         ['a', 'b']
     """
 
@@ -83,7 +68,7 @@ class Items:
     others: tuple[Item, ...] = ()
 
     @classmethod
-    def of_folder(cls, path: Path, reading: Mapping[str, Any]) -> Items:
+    def of_folder(cls, path: Path, reading: Mapping[str, Any] | None = None) -> Items:
         """Return the recordings of a folder or file.
 
         Args:
@@ -94,7 +79,7 @@ class Items:
             CorpusError: no recording was found.
         """
         files = motion_files(path).items()
-        items = (BareItem(id=key, motion=file, reading=reading) for key, file in files)
+        items = (BareItem(id=key, motion=file, reading=reading or {}) for key, file in files)
         return cls(path, "", tuple(items))
 
     @classmethod
@@ -116,19 +101,25 @@ class Items:
         """Items with motion of the manifest's training split, if `split` is another one."""
         return tuple(item for item in self.others if item.split == "train")
 
-    @cached_property
-    def intervals(self) -> dict[str, ItemInterval]:
-        """The items with motion, by id."""
-        moving = (item for item in self.items if item.motion is not None)
-        return {item.id: ItemInterval(item) for item in sorted(moving, key=lambda item: item.id)}
+    def recordings(self, *, all_splits: bool = False) -> dict[str, Item]:
+        """Return {id: item} of the items with motion; those of other splits come last, if asked.
+
+        Raises:
+            CorpusError: no item of the split has motion.
+        """
+        moving = [item for item in self.items if item.motion is not None]
+        if not moving:
+            raise CorpusError(f"{self}: no item has motion to compare with")
+        moving.sort(key=lambda item: item.id)
+        return {item.id: item for item in (*moving, *(self.others if all_splits else ()))}
 
     def __str__(self) -> str:
         return f"split {self.split} of {self.path}" if self.split else str(self.path)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class BareItem(Item):
-    """Whole motion without a manifest: of a file with reading options, or made when it is needed.
+    """Whole motion or sound without a manifest: of a file, or made when it is needed.
 
     Attributes:
         make: makes the motion; None reads the file.
@@ -143,15 +134,31 @@ class BareItem(Item):
     def __post_init__(self) -> None:
         """Accept a length, split and take that are not known."""
 
+    def __str__(self) -> str:
+        return str(self.motion or self.audio or self.id)
+
+    def load_wave(self) -> Wave:
+        """Read the whole sound."""
+        from audio_features import Wave
+
+        assert self.audio is not None
+        return Wave.load(self.audio)
+
     def load_motion(self, parts: Mapping[str, str] | None = None) -> Motion:
-        """Read or make the motion."""
+        """Read or make the motion; errors name the file."""
         if self.make is not None:
             return self.make()
         assert self.motion is not None
-        return load(self.motion, self.reading)
+        try:
+            return load(self.motion, self.reading)
+        except (FormatError, MotionError) as error:
+            # The error of an invalid motion does not name its file.
+            text = str(error)
+            named = text if self.motion.name in text else f"{self.motion}: {text}"
+            raise type(error)(named) from error
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Pair:
     """A generated clip, its recording, and the sound and semantic track of the recording.
 
@@ -159,9 +166,9 @@ class Pair:
         name: the generated clip's key: its path within the folder, without extension.
         stem: the key of its recording.
         window: index of the 10 s window of the recording; None for the whole.
-        generated: its file, or a baseline's motion.
-        reference: the recording's motion, a file or an interval.
-        audio: the recording's sound, a file or an interval, or None.
+        generated: its motion: of a file, or made by a baseline.
+        reference: the recording's motion.
+        audio: the recording's sound, or None.
         semantic: the recording's semantic track, or None.
         take: recording session; by default that of a manifest's item, else the recording itself.
     """
@@ -169,16 +176,15 @@ class Pair:
     name: str
     stem: str
     window: int | None
-    generated: Path | ItemInterval
-    reference: Path | ItemInterval
-    audio: Path | ItemInterval | None = None
+    generated: Item
+    reference: Item
+    audio: Item | None = None
     semantic: Path | None = None
     take: str = ""
 
     def __post_init__(self) -> None:
         if not self.take:
-            item = self.reference.item if isinstance(self.reference, ItemInterval) else None
-            object.__setattr__(self, "take", (item and item.take) or self.stem)
+            object.__setattr__(self, "take", self.reference.take or self.stem)
 
     @property
     def of(self) -> Window:
@@ -188,12 +194,12 @@ class Pair:
     @property
     def speaker(self) -> str | None:
         """The speaker of the recording, if known."""
-        return self.reference.item.speaker if isinstance(self.reference, ItemInterval) else None
+        return self.reference.speaker
 
     @property
     def style(self) -> str | None:
         """The style of the recording, if known."""
-        return self.reference.item.style if isinstance(self.reference, ItemInterval) else None
+        return self.reference.style
 
 
 @dataclass(frozen=True)
@@ -222,7 +228,7 @@ class Pairs:
 
 def find_pairs(
     generated: Path,
-    reference: Path | Items,
+    reference: Items,
     *,
     audio: Path | None = None,
     semantic: Path | None = None,
@@ -232,24 +238,24 @@ def find_pairs(
     Args:
         generated: folder or file of motion (npz, BVH).
         reference: the recordings. A single file is the reference of every clip; every item of a
-            manifest is expected to have one.
+            manifest's split is expected to have one.
         audio: folder or file of the recordings' sound; items of a manifest have their own.
         semantic: folder or file of semantic tracks: feature files (npz) or BEAT's (txt).
 
     Raises:
         CorpusError: a missing or empty folder, or no clip that has a recording.
     """
-    made, recorded = motion_files(generated), recordings(reference)
-    sounds: Mapping[str, Path | ItemInterval]
-    if isinstance(reference, Items) and audio is None:
-        sounds = {key: s for key, s in reference.intervals.items() if s.item.audio is not None}
-    else:
-        sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
+    made, recorded = motion_files(generated), reference.recordings()
+    sounds = files_by_key(audio, SPEECH_SUFFIXES, "sound") if audio else {}
     tracks = files_by_key(semantic, SEMANTIC_SUFFIXES, "semantic track") if semantic else {}
     found = Pairs()
     for name, stem, window in _matched(made, recorded, reference, found):
-        sound, track = file_of(stem, sounds, audio), file_of(stem, tracks, semantic)
-        found.pairs.append(Pair(name, stem, window, made[name], recorded[stem], sound, track))
+        recording, track = recorded[stem], file_of(stem, tracks, semantic)
+        sound = recording if recording.audio is not None else None
+        if audio is not None and (file := file_of(stem, sounds, audio)) is not None:
+            sound = BareItem(id=str(file), audio=file)
+        motion = BareItem(id=name, motion=made[name])
+        found.pairs.append(Pair(name, stem, window, motion, recording, sound, track))
     problem = "" if found.pairs else _no_pair(generated, made, reference, recorded, found)
     if found.pairs and sounds and not any(pair.audio for pair in found.pairs):
         names = f"({listed([*sounds], 3)}) has the name of a recording ({listed([*recorded], 3)})"
@@ -258,7 +264,7 @@ def find_pairs(
         raise CorpusError(problem)
     found.pairs.sort(key=lambda pair: (pair.stem, pair.name))
     stems = dict.fromkeys(pair.stem for pair in found.pairs)
-    if isinstance(reference, Items) and reference.split:
+    if reference.split:
         missing = sorted(set(recorded) - set(stems))
         found.excluded += [Excluded(key, f"{generated} has no clip of it") for key in missing]
         return found
@@ -277,15 +283,14 @@ def find_pairs(
 def _no_pair(
     generated: Path,
     made: Mapping[str, Path],
-    reference: Path | Items,
-    recorded: Mapping[str, Path | ItemInterval],
+    reference: Items,
+    recorded: Mapping[str, Item],
     found: Pairs,
 ) -> str:
     """Return the error for clips of which none has a recording."""
     if found.notes and not found.excluded:
         return f"{generated}: nothing to measure: {'; '.join(found.notes)}"
-    from_manifest = isinstance(reference, Items) and bool(reference.split)
-    are_items = not from_manifest and any(map(_CUT.search, made))
+    are_items = not reference.split and any(map(_CUT.search, made))
     advice = "; names with @START-END are items of a manifest: --corpus" if are_items else ""
     return (
         f"{generated}: of {counted(len(made), 'clip')} ({listed([*made], 3)}) none has a recording "
@@ -295,14 +300,10 @@ def _no_pair(
 
 
 def _matched(
-    made: Mapping[str, Path],
-    recorded: Mapping[str, Path | ItemInterval],
-    reference: Path | Items,
-    found: Pairs,
+    made: Mapping[str, Path], recorded: Mapping[str, Item], reference: Items, found: Pairs
 ) -> Iterator[tuple[str, str, int | None]]:
     """Yield (clip, its recording, window) of each clip; add the other clips to `found`."""
-    reasons = reference.aside if isinstance(reference, Items) else {}
-    path = reference if isinstance(reference, Path) else reference.path
+    reasons, path = reference.aside, reference.path
     if path.is_file() and path.suffix.lower() in _MOTION:
         yield from ((name, next(iter(recorded)), None) for name in made)
         return
@@ -321,26 +322,6 @@ def _matched(
         found.notes.append(
             f"{counted(len(names), 'clip')} {what} in {path}, not measured: {listed(names, 3)}"
         )
-
-
-def recordings(
-    reference: Path | Items, *, all_splits: bool = False
-) -> dict[str, Path | ItemInterval]:
-    """Return {key: motion} of all recordings of a folder, a file or a manifest.
-
-    Args:
-        reference: the recordings.
-        all_splits: take the items of the manifest's other splits as well.
-
-    Raises:
-        CorpusError: no motion was found.
-    """
-    if isinstance(reference, Path):
-        return {**motion_files(reference)}
-    if not reference.intervals:
-        raise CorpusError(f"{reference}: no item has motion to compare with")
-    others = reference.others if all_splits else ()
-    return {**reference.intervals, **{item.id: ItemInterval(item) for item in others}}
 
 
 def motion_files(path: Path) -> dict[str, Path]:

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from gesturekit.errors import ConfigError, EvaluationError
+from gesturekit.evaluation.pairs import grouped
 from gesturekit.evaluation.statistics.answers import MISMATCHED, Answer, Answers, Ratings
 from gesturekit.evaluation.statistics.intervals import LEVEL, holm
 from gesturekit.evaluation.statistics.scores import (
@@ -39,9 +40,11 @@ if TYPE_CHECKING:
 
 ROUNDS = 10_000
 """Rounds of the bootstrap, as GENEA's."""
-WEIGHTS = np.array([4.0, 2.0, 1.0])
-"""Weights of a clear and a slight preference and of a tie, as in GENEA's analysis; a tie counts for
-either system."""
+MERIT = np.array([2.0, 1.0, 0.0, 0.0, 0.0])
+ELO = np.array([4.0, 2.0, 1.0, 0.0, 0.0])
+ALIGNMENT = np.array([2.0, 1.0, 0.5, 0.0, 0.0])
+"""What a system gets for an answer, from its clear preference to that of the other system. Weights
+of Elo ratings are those of GENEA's analysis: a tie counts for either system."""
 SCALE, MEAN = 400.0, 1000.0
 _RIDGE = 1e-6  # keeps the strength of a system that lost every comparison finite
 _MOST_STEPS = 100
@@ -49,20 +52,23 @@ _MOST_STEPS = 100
 
 @dataclass(frozen=True, eq=False)
 class Votes:
-    """Answers that compare two systems, n of them.
+    """Answers that compare two systems: n answers to P pairs of k systems.
 
     Attributes:
         systems: (k,) names, sorted.
-        first, second: (n,) indices of the systems that were compared.
-        score: (n,) 2 first clearly better, 1 slightly better, 0 equal, -1 and -2 second.
-        value: (n,) what is tested: the score or, of ratings, the difference.
+        pairs: (P, 2) indices of the systems of each pair that was compared, sorted.
+        pair: (n,) index of the pair.
+        answer: (n,) 0 the pair's first system clearly better, 1 slightly better, 2 equal, 3 and 4
+            its second system.
+        value: (n,) what is tested: the score (2 to -2) or, of ratings, the difference; positive for
+            the pair's first system.
         rater, clip: (n,) index of the rater and of the speech segment.
     """
 
     systems: tuple[str, ...]
-    first: np.ndarray
-    second: np.ndarray
-    score: np.ndarray
+    pairs: np.ndarray
+    pair: np.ndarray
+    answer: np.ndarray
     value: np.ndarray
     rater: np.ndarray
     clip: np.ndarray
@@ -74,8 +80,8 @@ class Votes:
         Raises:
             EvaluationError: so many raters and systems that the names cannot be right.
         """
-        sides = [(answer.left, answer.right) for answer in answers]
-        systems, shown = np.unique(np.array(sides), return_inverse=True)
+        names = np.array([(answer.left, answer.right) for answer in answers])
+        systems, sides = np.unique(names, return_inverse=True)
         rater, clip = (
             np.unique(names, return_inverse=True)[1]
             for names in ([a.user for a in answers], [a.clip for a in answers])
@@ -86,56 +92,58 @@ class Votes:
                 f"{raters} raters and {len(systems)} systems: more than can be analysed. Are "
                 "user, model_a and model_b the right columns?"
             )
-        score = np.array([answer.score for answer in answers])
+        pairs, pair = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True)
+        sign = np.where(sides[:, 0] < sides[:, 1], 1, -1)  # -1: the pair's first is on the right
+        answer = 2 - sign * np.array([answer.score for answer in answers])
         value = np.array([a.score if a.difference is None else a.difference for a in answers])
-        first, second = shown.reshape(-1, 2).T
-        return cls(tuple(map(str, systems)), first, second, score, value, rater, clip)
+        return cls(tuple(map(str, systems)), pairs, pair, answer, sign * value, rater, clip)
 
-    def between(self, one: int, other: int) -> Votes:
-        """Return the votes on two systems; positive scores are for `one`."""
-        forward = (self.first == one) & (self.second == other)
-        kept = forward | ((self.first == other) & (self.second == one))
-        sign = np.where(forward, 1, -1)[kept]
-        first, second = (np.full(len(sign), system) for system in (one, other))
-        score, value = (sign * values[kept] for values in (self.score, self.value))
-        return Votes(self.systems, first, second, score, value, self.rater[kept], self.clip[kept])
+    def on(self, pair: int) -> Votes:
+        """Return the votes on one pair; raters and clips keep their indices."""
+        rows = np.flatnonzero(self.pair == pair)
+        kept = {name: getattr(self, name)[rows] for name in ("answer", "value", "rater", "clip")}
+        return replace(self, pairs=self.pairs[[pair]], pair=np.zeros_like(rows), **kept)
 
     @property
-    def answers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Values, raters and clips (n,), as `mean_test` and `share` take them."""
+    def tested(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Values, raters and clips (n,), as `mean_test` takes them."""
         return self.value, self.rater, self.clip
 
     @property
-    def n_raters(self) -> int:
+    def raters(self) -> int:
         """Number of raters."""
         return len(np.unique(self.rater))
 
     @cached_property
     def _cells(self) -> csr_matrix:
-        """Return (n, 3·k·k) with 1 at the cell of `counts` that each vote is counted in."""
+        """Return (5·P, n) with 1 where a vote is an answer of `counts`."""
         from scipy.sparse import csr_matrix
 
-        k = len(self.systems)
-        better = np.where(self.score >= 0, self.first, self.second)
-        worse = self.first + self.second - better
-        cells = ((2 - np.abs(self.score)) * k + better) * k + worse
-        rows = np.arange(len(better))
-        return csr_matrix((np.ones(len(rows)), (rows, cells)), (len(rows), 3 * k * k))
+        n = len(self.pair)
+        cells = (5 * self.pair + self.answer, np.arange(n))
+        return csr_matrix((np.ones(n), cells), (5 * len(self.pairs), n))
 
     def counted(self, weights: np.ndarray) -> np.ndarray:
-        """Return counts (b, 3, k, k) of votes with weights (b, n).
-
-        They are of clear and slight preferences of i to j, and of ties of both.
-        """
-        k = len(self.systems)
-        counts = (self._cells.T @ weights.T).T.reshape(-1, 3, k, k)
-        counts[:, 2] += counts[:, 2].swapaxes(1, 2)
-        return counts
+        """Return how often (b, P, 5) each pair got each answer, from votes with weights (b, n)."""
+        return (self._cells @ weights.T).T.reshape(len(weights), -1, 5)
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """Numbers (3, k, k) of clear and slight preferences of i to j, and of ties of both."""
-        return self.counted(np.ones((1, len(self.score))))[0]
+        """Numbers (1, P, 5) of each answer to each pair."""
+        return self.counted(np.ones((1, len(self.pair))))
+
+    def gains(self, counts: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return what each system i gets (b, k, k) from its comparisons with each system j.
+
+        Args:
+            counts: (b, P, 5) how often each pair got each answer.
+            weights: (5,) what a system gets for each answer, such as `MERIT`.
+        """
+        k, (first, second) = len(self.systems), self.pairs.T
+        found = np.zeros((len(counts), k, k))
+        found[:, first, second] = counts @ weights
+        found[:, second, first] = counts @ weights[::-1]
+        return found
 
     def estimates(
         self, statistic: Callable[[np.ndarray], np.ndarray], rounds: int, seed: int
@@ -143,17 +151,17 @@ class Votes:
         """Return a statistic with its 95 % percentile intervals over raters and clips.
 
         Args:
-            statistic: maps counts (b, 3, k, k) to values (b, s); NaN where undefined.
+            statistic: maps counts (b, P, 5) to values (b, s); NaN where undefined.
             rounds: number of bootstrap rounds.
             seed: the same seed gives the same intervals.
 
         Returns:
             s estimates; without an interval with a single rater.
         """
-        values = statistic(self.counts[None])[0]
+        values = statistic(self.counts)[0]
         low = high = np.full(len(values), np.nan)
-        if self.n_raters > 1:
-            size = len(self.score) + self._cells.shape[1]
+        if self.raters > 1:
+            size = len(self.pair) + 3 * len(self.systems) ** 2
             drawn = resampled_weights(self.rater, self.clip, rounds, seed, size)
             found = np.concatenate([statistic(self.counted(weights)) for weights in drawn])
             tail = (1 - LEVEL) / 2
@@ -161,18 +169,18 @@ class Votes:
         return [Estimate(*map(float, bounds)) for bounds in zip(values, low, high, strict=True)]
 
 
-def merit_scores(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return merit scores (..., k) and numbers of answers (..., k) from counts of `Votes`."""
-    clear, slight, ties = np.moveaxis(counts, -3, 0)
-    preferences = clear + slight
-    shown = (preferences + preferences.swapaxes(-1, -2) + ties).sum(axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return (2 * clear + slight).sum(axis=-1) / shown, shown
+def merit_scores(votes: Votes, counts: np.ndarray) -> np.ndarray:
+    """Return the merit scores (b, k) of systems from counts (b, P, 5) of answers."""
+    gained, shown = (votes.gains(counts, weights).sum(axis=-1) for weights in (MERIT, np.ones(5)))
+    with np.errstate(invalid="ignore"):
+        return gained / shown
 
 
-def weighted_wins(counts: np.ndarray) -> np.ndarray:
-    """Return the weighted wins (..., k, k) of i over j from counts (..., 3, k, k) of `Votes`."""
-    return np.einsum("h,...hij->...ij", WEIGHTS, counts)
+def alignment_scores(counts: np.ndarray) -> np.ndarray:
+    """Return alignment scores (b, P) from counts (b, P, 5) of matched : mismatched motion."""
+    matched, mismatched = counts @ ALIGNMENT, counts @ ALIGNMENT[::-1]
+    with np.errstate(invalid="ignore"):
+        return matched / (matched + mismatched)
 
 
 def fit_strengths(wins: np.ndarray) -> np.ndarray:
@@ -228,16 +236,16 @@ class SystemScore:
 
 @dataclass(frozen=True)
 class PairScore:
-    """Comparison of two systems; `a` is the one that was preferred more often.
+    """Comparison of two systems, or of a system's matched and mismatched motion.
 
     Attributes:
-        a, b: the systems.
+        a, b: the systems; `a` was preferred more often, or is the matched motion.
         counts: a clearly, a slightly, equal, b slightly, b clearly.
         raters: raters who compared them.
         win_rate: share of preferences for `a`, ties excluded; interval over raters and clips.
         mean: mean score, 2 to -2, or mean difference of ratings; below 0 if raters prefer `b`.
         p: test of the mean over raters and clips; `p_holm` is adjusted for the number of pairs.
-        p_tukey: Tukey's test of merit scores.
+        p_tukey: Tukey's test of merit scores; NaN of ratings and of matched motion.
     """
 
     a: str
@@ -248,18 +256,13 @@ class PairScore:
     mean: float
     p: float
     p_holm: float
-    p_tukey: float = math.nan
+    p_tukey: float
 
 
-@dataclass(frozen=True)
-class AlignmentScore(PairScore):
-    """Alignment of one system: its matched motion `a` against its motion of other speech `b`.
-
-    Attributes:
-        score: alignment score, 0 to 1; interval by bootstrap over raters and clips.
-    """
-
-    score: Estimate = Estimate(math.nan)
+Alignment = tuple[tuple[PairScore, Estimate], ...]
+"""Comparison of matched with mismatched motion, and alignment score, of each system; best first."""
+Differences = tuple[tuple[str, str, float, float], ...]
+"""(a, b, p, p_holm) of the tests between the mean scores of two systems' matched motion."""
 
 
 @dataclass(frozen=True)
@@ -298,39 +301,33 @@ def analyse_preference(
         ratings: the ratings that the answers compare; of votes None.
     """
     votes = Votes.of(answers)
-    names, k, wins = votes.systems, len(votes.systems), weighted_wins(votes.counts)
-    n_groups, group = connected_components(wins + wins.T > 0, directed=False)
+    names, k = votes.systems, len(votes.systems)
+    wins = votes.gains(votes.counts, ELO)[0]
+    compared = wins + wins.T > 0
+    n_groups, group = connected_components(compared, directed=False)
 
     def merit_and_elo(counts: np.ndarray) -> np.ndarray:
-        merit, _ = merit_scores(counts)
+        merit = merit_scores(votes, counts)
         if n_groups > 1:
             return merit
-        return np.concatenate([merit, elo(fit_strengths(weighted_wins(counts)))], axis=1)
+        return np.concatenate([merit, elo(fit_strengths(votes.gains(counts, ELO)))], axis=1)
 
     estimates = votes.estimates(merit_and_elo, rounds, seed)
     elos = estimates[k:] or [Estimate(math.nan)] * k
-    merits, shown = estimates[:k], merit_scores(votes.counts)[1].astype(int).tolist()
-    anova, tukey = None, np.full((k, k), np.nan)
+    merits, shown = estimates[:k], np.bincount(votes.pairs[votes.pair].ravel()).tolist()
+    anova = tukey = None
     if ratings is None:
-        anova, tukey = _anova(votes)
+        anova, tukey = _anova(answers)
     else:
         given = [ratings.kept(ratings.system == ratings.systems.index(name)) for name in names]
         merits = [mean_estimate(r.value, r.rater, r.clip) for r in given]
         shown = [len(r.value) for r in given]
     systems = list(map(SystemScore, names, shown, merits, elos))
     systems.sort(key=lambda s: (-(s.merit if n_groups > 1 else s.elo).value, s.name))
-    compared = np.triu(votes.counts.sum(axis=0) + votes.counts[:2].sum(axis=0).T, 1)
-    won = votes.counts[:2].sum(axis=0)
-    pairs = [
-        replace(compare(votes, *((i, j) if won[i, j] >= won[j, i] else (j, i))),
-                p_tukey=float(tukey[i, j]))
-        for i, j in zip(*np.nonzero(compared), strict=True)
-    ]  # fmt: skip
-    adjusted = holm([pair.p for pair in pairs]).tolist()
     separate = [tuple(n for n, g in zip(names, group) if g == at) for at in range(n_groups)]
     return Preference(
         systems=tuple(systems),
-        pairs=tuple(replace(pair, p_holm=p) for pair, p in zip(pairs, adjusted, strict=True)),
+        pairs=tuple(compare(votes, tukey)),
         not_compared=tuple(
             (names[i], names[j]) for i, j in combinations(range(k), 2) if not compared[i, j]
         ),
@@ -342,75 +339,73 @@ def analyse_preference(
     )
 
 
-def compare(votes: Votes, a: int, b: int) -> PairScore:
-    """Return the comparison of two systems, given by their indices; p is not adjusted."""
-    pair = votes.between(a, b)
-    p = mean_test(*pair.answers)
-    counts = tuple(int((pair.score == score).sum()) for score in (2, 1, 0, -1, -2))
-    return PairScore(
-        votes.systems[a], votes.systems[b], counts, pair.n_raters, share(*pair.answers),
-        float(pair.value.mean()), p, p,
-    )  # fmt: skip
+def compare(votes: Votes, tukey: np.ndarray | None = None) -> list[PairScore]:
+    """Return the comparison of the systems of each pair, with p adjusted by Holm's method.
+
+    Args:
+        votes: the answers.
+        tukey: (k, k) p-values of Tukey's test, if it was made.
+    """
+    pairs = [votes.on(pair) for pair in range(len(votes.pairs))]
+    p_values = [mean_test(*pair.tested) for pair in pairs]
+    found = []
+    for pair, p, p_holm in zip(pairs, p_values, holm(p_values).tolist(), strict=True):
+        ((i, j),) = pair.pairs.tolist()
+        a, b, value = pair.systems[i], pair.systems[j], pair.value
+        counts = np.bincount(pair.answer, minlength=5).tolist()
+        # First is the system that was preferred more often, or the matched motion.
+        if sum(counts[:2]) < sum(counts[3:]) and b != a + MISMATCHED:
+            a, b, counts, value = b, a, counts[::-1], -value
+        found.append(PairScore(
+            a, b, tuple(counts), pair.raters, share(value, pair.rater, pair.clip),
+            float(value.mean()), p, p_holm, math.nan if tukey is None else float(tukey[i, j]),
+        ))  # fmt: skip
+    return found
 
 
-def _anova(votes: Votes) -> tuple[dict[str, Any] | None, np.ndarray]:
+def _anova(answers: Sequence[Answer]) -> tuple[dict[str, Any] | None, np.ndarray | None]:
     """Return the one-way ANOVA of merit scores, and p-values (k, k) of Tukey's test.
 
-    None if scores do not vary within systems; NaN if a system has a single answer.
+    None if scores do not vary within systems, or if Tukey's test lacks answers to a system.
     """
     from scipy.stats import f_oneway, tukey_hsd
 
-    k, system = len(votes.systems), np.concatenate([votes.first, votes.second])
-    scores = np.maximum(np.concatenate([votes.score, -votes.score]), 0).astype(float)
-    groups = [scores[system == index] for index in range(k)]
-    tukey = np.full((k, k), np.nan)
+    scores = [(answer.left, max(answer.score, 0)) for answer in answers]
+    scores += [(answer.right, max(-answer.score, 0)) for answer in answers]
+    groups = [np.array(of_system, float) for _, of_system in sorted(grouped(scores).items())]
     if all(np.ptp(values) == 0 for values in groups):
-        return None, tukey
+        return None, None
     f, p = f_oneway(*groups)
-    if min(map(len, groups)) > 1:  # as scipy needs
-        tukey = tukey_hsd(*groups).pvalue
-    return {"f": float(f), "p": float(p), "df": [k - 1, len(scores) - k]}, tukey
+    tukey = tukey_hsd(*groups).pvalue if min(map(len, groups)) > 1 else None  # as scipy needs
+    return {"f": float(f), "p": float(p), "df": [len(groups) - 1, len(scores) - len(groups)]}, tukey
 
 
 def analyse_alignment(
     answers: Sequence[Answer], rounds: int, seed: int
-) -> tuple[tuple[AlignmentScore, ...], tuple[tuple[str, str, float, float], ...]]:
+) -> tuple[Alignment, Differences]:
     """Analyse answers that compare matched with mismatched motion of one system each.
 
     Args:
         answers: at least one; all have `matched`.
         rounds: rounds of the bootstrap over raters and clips.
         seed: the same seed gives the same intervals.
-
-    Returns:
-        the scores, best first, and (a, b, p, p_holm) of the tests between the mean scores of two
-        systems.
     """
-    votes, scores, own = Votes.of(answers), [], {}
-    for name in sorted({answer.matched for answer in answers if answer.matched}):
-        matched, other = (votes.systems.index(system) for system in (name, name + MISMATCHED))
-        own[name] = votes.between(matched, other)
-
-        def alignment(counts: np.ndarray, matched: int = matched, other: int = other) -> np.ndarray:
-            weights = counts * np.array([2.0, 1.0, 0.5])[:, None, None]
-            won, lost = (weights.sum(axis=1)[:, i, j]
-                         for i, j in ((matched, other), (other, matched)))  # fmt: skip
-            with np.errstate(invalid="ignore"):
-                return (won / (won + lost))[:, None]
-
-        (score,) = own[name].estimates(alignment, rounds, seed)
-        scores.append(AlignmentScore(**vars(compare(votes, matched, other)), score=score))
-    adjusted = holm([score.p for score in scores]).tolist()
-    scores = [replace(score, p_holm=p) for score, p in zip(scores, adjusted, strict=True)]
-    scores.sort(key=lambda score: (-score.score.value, score.a))
-    pairs = list(combinations((score.a for score in scores), 2))
-    p_values = []
-    for pair in pairs:
-        one, other = (own[name].answers for name in pair)
-        value, rater, clip = map(np.concatenate, zip(one, other, strict=True))
-        p_values.append(mean_test(value, rater, clip, np.arange(len(value)) < len(one[0])))
-    tests = zip(pairs, p_values, holm(p_values).tolist(), strict=True)
-    return tuple(scores), tuple((*pair, p, p_holm) for pair, p, p_holm in tests)
+    votes = Votes.of(answers)
+    found = []
+    for pair, compared in enumerate(compare(votes)):
+        own = votes.on(pair)
+        found.append((compared, own.estimates(alignment_scores, rounds, seed)[0], own.tested))
+    found.sort(key=lambda one: (-one[1].value, one[0].a))
+    names, p_values = [], []
+    for (one, _, first), (other, _, second) in combinations(found, 2):
+        names.append((one.a, other.a))
+        value, rater, clip = map(np.concatenate, zip(first, second, strict=True))
+        p_values.append(mean_test(value, rater, clip, np.arange(len(value)) < len(first[0])))
+    tests = zip(names, p_values, holm(p_values).tolist(), strict=True)
+    return (
+        tuple((pair, score) for pair, score, _ in found),
+        tuple((*pair, p, p_holm) for pair, p, p_holm in tests),
+    )
 
 
 @dataclass(frozen=True)
@@ -424,7 +419,7 @@ class StudyResult:
         preference: comparison of systems; None if none were compared, or if ratings answer several
             questions.
         by_style: {style or question: comparison of systems} if there were several.
-        alignment, differences: matched against mismatched motion; see `analyse_alignment`.
+        alignment, differences: matched against mismatched motion, and systems in that.
         reasons: {reason: number of answers that give it}, most frequent first.
         rounds, seed: settings of the bootstrap.
     """
@@ -435,8 +430,8 @@ class StudyResult:
     left: Estimate
     preference: Preference | None
     by_style: dict[str, Preference]
-    alignment: tuple[AlignmentScore, ...]
-    differences: tuple[tuple[str, str, float, float], ...]
+    alignment: Alignment
+    differences: Differences
     reasons: dict[str, int]
     rounds: int
     seed: int
@@ -468,11 +463,15 @@ def analyse_study(answers: Answers, *, rounds: int = ROUNDS, seed: int = 0) -> S
     # Ratings of different questions have no common mean, and no left side.
     together = compared and not (ratings and by_style)
     alignment, differences = analyse_alignment(matched, rounds, seed) if matched else ((), ())
+    left = Estimate(math.nan)
+    if ratings is None:
+        votes = Votes.of(kept)
+        left = share(np.array([answer.score for answer in kept]), votes.rater, votes.clip)
     return StudyResult(
         answers=answers,
         raters=len({answer.user for answer in kept}),
         clips=len({answer.clip for answer in kept}),
-        left=Estimate(math.nan) if ratings else share(*Votes.of(kept).answers),
+        left=left,
         preference=analyse_preference(compared, rounds, seed, ratings) if together else None,
         by_style=by_style,
         alignment=alignment,

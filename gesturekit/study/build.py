@@ -37,8 +37,9 @@ REASONS: dict[str, dict[str, str]] = _TEXTS["reasons"]
 _BODY = "body"
 """Script of the mesh of all clips' bodies; as `SHARED` in page/clip.js."""
 _BUNDLE = _HERE / "study.bundle.js"
-Names = dict[tuple[str, str, str], str]
-"""{(system, segment, segment of the sound): name} of clips: names that tell nothing."""
+Clips = dict[tuple[str, Segment, Segment], dict[str, Any]]
+"""{(system, segment, segment of the sound): the clip as the page reads it}. Names of clips, c0001
+and so on, tell nothing."""
 
 
 @dataclass(frozen=True)
@@ -89,69 +90,67 @@ def build_study(config: StudyConfig, out: str | os.PathLike[str]) -> BuiltStudy:
             f"{counted(len(segments), 'segment')}: {counted(most, 'comparison')} a rater",
             stacklevel=2,
         )
-    names: Names = {}
-    trials = [[_trial(config, one, others, names) for one in comparisons] for comparisons in lists]
-    seconds = _write_clips(config, segments, names, out / "clips")
-    for side in (side for one in trials for trial in one for side in trial["sides"]):
-        side |= {"seconds": seconds[side["motion"]]} if "motion" in side else {}
+    clips: Clips = {}
+    trials = [[_trial(config, one, others, clips) for one in comparisons] for comparisons in lists]
+    _write_clips(config, clips, out / "clips")
     silent = config.is_silent or not (are_videos or segments[0].sound)
     values = {
         "title": html.escape(config.title),
-        "policy": html.escape(_policy(config.post_url)),
+        # Beside this address, the page may load its own clips; some browsers do not count other
+        # files of a disk as 'self'.
+        "post_url": html.escape(config.post_url or "'none'"),
         "setup": script_json(_setup(config, silent, trials, out)),
         "shell": script_json("" if are_videos else player_shell()),
         "script": script,
     }
     page = out / "index.html"
     write_page(page, _HERE / "page", values)
-    return BuiltStudy(page, len(segments), len(names), len(lists[0]), page.stat().st_size)
+    return BuiltStudy(page, len(segments), len(clips), len(lists[0]), page.stat().st_size)
 
 
 def _trial(
-    config: StudyConfig, comparison: Comparison, others: dict[str, Segment], names: Names
+    config: StudyConfig, comparison: Comparison, others: dict[str, Segment], clips: Clips
 ) -> dict[str, Any]:
-    """Return a comparison as the page reads it; its clips are added to `names`."""
-    segment, sides = comparison.segment, []
-    for name in comparison.systems:
+    """Return a comparison as the page reads it; what it shows is added to `clips`."""
+
+    def clip(system: str, shown: Segment, spoken: Segment) -> dict[str, Any]:
+        name = f"c{len(clips) + 1:04d}"
+        if not shown.is_video:
+            return clips.setdefault((system, shown, spoken), {"motion": name})
+        video = {"video": name + shown.clips[system].suffix.lower(), "silent": config.is_silent}
+        return clips.setdefault((system, shown, spoken), video)
+
+    segment, systems = comparison
+    sides = []
+    for name in systems:
         system = name.removesuffix(MISMATCHED)
         shown = segment if system == name else others[segment.name]
-
-        def clip(shown: Segment, spoken: Segment, system: str = system) -> str:
-            suffix = shown.clips[system].suffix.lower() if shown.is_video else ""
-            key = (system, shown.name, spoken.name)
-            return names.setdefault(key, f"c{len(names) + 1:04d}{suffix}")
-
-        if not segment.is_video:
-            sides.append({"motion": clip(shown, segment)})
-            continue
-        side: dict[str, Any] = {"video": clip(shown, shown), "silent": config.is_silent}
-        sides.append(side | ({} if shown is segment else {"sound": clip(segment, segment)}))
-    trial: dict[str, Any] = {"clip": segment.name, "systems": comparison.systems, "sides": sides}
+        side = clip(system, shown, shown if segment.is_video else segment)
+        if segment.is_video and shown is not segment:
+            side = side | {"sound": clip(system, segment, segment)["video"]}
+        sides.append(side)
+    trial: dict[str, Any] = {"clip": segment.name, "systems": systems, "sides": sides}
     return trial | ({"style": segment.style} if segment.style else {})
 
 
-def _write_clips(
-    config: StudyConfig, segments: Sequence[Segment], names: Names, folder: Path
-) -> dict[str, float]:
-    """Write all clips, and return {name: seconds} of motions."""
-    by_name = {segment.name: segment for segment in segments}
-    progress, seconds, mesh = Progress(names.items(), unit="clip"), {}, None
-    for (system, shown, spoken), name in progress:
-        source, sound = by_name[shown].clips[system], by_name[spoken].sound
-        if by_name[shown].is_video:
-            with atomic_write(folder / name) as temporary:
+def _write_clips(config: StudyConfig, clips: Clips, folder: Path) -> None:
+    """Write all clips, and add the `seconds` of motions to what the page reads."""
+    mesh = None
+    for (system, shown, spoken), side in Progress(clips.items(), unit="clip"):
+        source, sound = shown.clips[system], spoken.sound
+        if shown.is_video:
+            with atomic_write(folder / side["video"]) as temporary:
                 shutil.copyfile(source, temporary)
             continue
         motion = load(source, {}, {})
         sound_seconds = math.inf if sound is None else Wave.load(sound).duration
-        seconds[name] = round(min(motion.duration, sound_seconds), 3)
+        side["seconds"] = round(min(motion.duration, sound_seconds), 3)
         clip = json.loads(player_data(motion, sound, body=config.body, compress=True))
         if "skin" in clip:  # a mesh that all clips share
             mesh, clip["skin"] = clip["skin"], _BODY
-        _write_script(folder / f"{name}.js", clip)
+        _write_script(folder / f"{side['motion']}.js", clip)
     if mesh is not None:
         _write_script(folder / f"{_BODY}.js", mesh)
-    return seconds
 
 
 def _write_script(path: Path, value: object) -> None:
@@ -191,17 +190,3 @@ def _setup(config: StudyConfig, silent: bool, lists: Sequence[Any], out: Path) -
         "completion": config.completion_url or "",
         "seed": config.seed,
     }
-
-
-def _policy(post_url: str | None) -> str:
-    """Return what the page may load: its own clips, and nothing from elsewhere."""
-    # Browsers differ in whether 'self' includes other files of a disk.
-    rules = {
-        "default-src": "'none'",
-        "script-src": "'unsafe-inline' 'self' file:",
-        "style-src": "'unsafe-inline'",
-        "media-src": "'self' file: blob:",
-        "img-src": "data: blob:",
-        "connect-src": post_url or "'none'",
-    }
-    return "; ".join(f"{name} {value}" for name, value in rules.items())

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError
+from gesturekit.evaluation.pairs import file_of, grouped
 from gesturekit.formats.sources import visible_folders
 from gesturekit.study.config import StudyConfig
 from gesturekit.wording import counted, listed
@@ -19,7 +19,7 @@ VIDEOS = (".mp4", ".webm", ".m4v")
 _WORD = re.compile(r"[^\W_]+")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segment:
     """A speech segment with the clip of every system.
 
@@ -101,8 +101,8 @@ def _in_folder(system: str, folder: Path) -> dict[str, Path]:
 
 def _by_stem(clips: dict[str, Path]) -> dict[str, Path]:
     """Return clips by their unique stems, given by relative path."""
-    stems = Counter(key.rpartition("/")[2] for key in clips)
-    return {stem: path for key, path in clips.items() if stems[stem := key.rpartition("/")[2]] == 1}
+    stems = grouped((key.rpartition("/")[2], path) for key, path in clips.items())
+    return {stem: paths[0] for stem, paths in stems.items() if len(paths) == 1}
 
 
 def _sounds(config: StudyConfig, keys: Iterable[str]) -> dict[str, Path]:
@@ -114,8 +114,7 @@ def _sounds(config: StudyConfig, keys: Iterable[str]) -> dict[str, Path]:
             raise ConfigError("audio: the design mismatch needs a folder of speech for motions")
         return {}
     speech = {item.key: item.path for item in scan(config.audio)[0] if item.is_speech}
-    stems = _by_stem(speech)
-    found = {key: speech.get(key) or stems.get(key.rpartition("/")[2]) for key in keys}
+    found = {key: file_of(key, speech, None) for key in keys}
     missing = [key for key, path in found.items() if path is None]
     if len(missing) == len(found):
         raise ConfigError(

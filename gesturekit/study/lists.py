@@ -8,25 +8,19 @@ pairs of each segment, are used equally often, or nearly so.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from gesturekit.evaluation.pairs import grouped
 from gesturekit.evaluation.statistics.answers import MISMATCHED
 from gesturekit.study.clips import Segment
 from gesturekit.study.config import StudyConfig
 
-
-@dataclass(frozen=True)
-class Comparison:
-    """Clips to compare on one page; `systems` are as in the answers, from left to right."""
-
-    segment: Segment
-    systems: tuple[str, ...]
+Comparison = tuple[Segment, tuple[str, ...]]
+"""Segment of a page, and its systems as in the answers, from left to right."""
 
 
 def ordered_pairs(config: StudyConfig) -> list[tuple[str, ...]]:
@@ -48,25 +42,17 @@ def make_lists(config: StudyConfig, segments: Sequence[Segment]) -> list[list[Co
     groups = [group for group in by_style if group]
     wanted = len(segments) if config.pairs is None else config.pairs
     pairs = ordered_pairs(config)
-    # Of each style: its segments, their number in a list, random numbers, uses of each pair.
-    styles = [
-        (
-            group,
-            min((wanted + number) // len(groups), len(group)),
-            np.random.default_rng([config.seed, number]),
-            np.zeros((len(group), len(pairs))),
-        )
-        for number, group in enumerate(groups)
-    ]
-    lists: list[list[Comparison]] = []
-    for _ in range(config.lists):
-        in_list = np.zeros(len(pairs), int)
-        lists.append([])
-        for group, n, rng, used in styles:
+    lists: list[list[Comparison]] = [[] for _ in range(config.lists)]
+    uses = np.zeros((config.lists, len(pairs)), int)  # of each pair in each list
+    for number, group in enumerate(groups):
+        n = min((wanted + number) // len(groups), len(group))
+        rng = np.random.default_rng([config.seed, number])
+        used = np.zeros((len(group), len(pairs)))
+        for comparisons, in_list in zip(lists, uses, strict=True):
             for place, pair in _places(used, n, in_list, rng):
                 used[place, pair] += 1
                 in_list[pair] += 1
-                lists[-1].append(Comparison(group[place], pairs[pair]))
+                comparisons.append((group[place], pairs[pair]))
     return lists
 
 
@@ -99,9 +85,7 @@ def mismatches(segments: Sequence[Segment], seed: int) -> dict[str, Segment]:
     exchange of all such folders.
     """
     rng = np.random.default_rng([seed, len(segments)])
-    groups: dict[str, list[Segment]] = defaultdict(list)
-    for segment in segments:
-        groups[segment.speaker].append(segment)
+    groups = grouped((segment.speaker, segment) for segment in segments)
     alone = [name for name, group in groups.items() if len(group) == 1]
     if alone:
         rest = [segment for name in alone for segment in groups.pop(name)]

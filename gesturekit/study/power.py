@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,13 @@ import numpy as np
 from gesturekit.errors import ConfigError
 from gesturekit.evaluation.statistics.intervals import LEVEL
 from gesturekit.evaluation.statistics.scores import freedom_of
+from gesturekit.training.config import Settings, Share, ShareBelowOne
 
 MOST_RATERS, MOST_CLIPS = 100_000, 10_000
 
 
 @dataclass(frozen=True)
-class Expected:
+class Expected(Settings):
     """Expected answers to one comparison: normal preferences, cut into the five answers.
 
     Attributes:
@@ -29,26 +30,20 @@ class Expected:
     """
 
     win_rate: float
-    ties: float
-    clear: float
-    rater_share: float
-    clip_share: float
+    ties: ShareBelowOne
+    clear: Share
+    rater_share: ShareBelowOne
+    clip_share: ShareBelowOne
 
-    def __post_init__(self) -> None:
-        wrong = [
-            f"{name} is {value}: give a share from 0 to below 1"
-            for name, value in vars(self).items()
-            if not 0 <= value < 1 and (name, value) != ("clear", 1)
-        ]
+    def problems(self) -> Iterator[str]:
+        """Yield a win rate without a difference, and shares that leave no variance to chance."""
         if not 0.5 < self.win_rate < 1:
-            wrong = [f"win_rate is {self.win_rate}: give a share above 0.5 and below 1"]
+            yield f"win_rate: {self.win_rate} must be above 0.5 and below 1"
         if self.rater_share + self.clip_share >= 1:
-            wrong.append(
-                f"rater_share {self.rater_share} and clip_share {self.clip_share}: their sum is "
-                "below 1"
+            yield (
+                f"rater_share {self.rater_share} and clip_share {self.clip_share}: their sum must "
+                "be below 1"
             )
-        if wrong:
-            raise ConfigError(wrong[0])
 
     def thresholds(self) -> tuple[float, float, float]:
         """Return the mean preference in standard deviations, and the least slight and clear one."""

@@ -19,6 +19,7 @@ import numpy as np
 from markupsafe import Markup
 
 from audio_features.atomic import write_text
+from gesturekit.evaluation.pairs import grouped
 from gesturekit.evaluation.report.plots import (
     STYLE,
     draw_rows,
@@ -89,13 +90,13 @@ def _on_preference(preference: Preference) -> Iterator[str]:
 
 
 def _on_alignment(found: StudyResult) -> Iterator[str]:
-    for score in found.alignment:
-        rate = f"(alignment {_percent(score.score)}, {p_text(score.p_holm)}"
+    for pair, score in found.alignment:
+        rate = f"(alignment {_percent(score)}, {p_text(pair.p_holm)}"
         said = f"raters did not tell its motion from that of other speech {rate}; chance 50 %)."
-        if is_significant(score.p_holm):
-            fits = "better" if score.mean > 0 else "worse"
+        if is_significant(pair.p_holm):
+            fits = "better" if pair.mean > 0 else "worse"
             said = f"its motion fits its speech {fits} than its motion of other speech {rate})."
-        yield f"{score.a}: {said}"
+        yield f"{pair.a}: {said}"
     different = [
         f"{a} and {b} ({p_text(p)})" for a, b, _, p in found.differences if is_significant(p)
     ]
@@ -136,11 +137,8 @@ def _on_careless_raters(answers: Sequence[Answer]) -> Iterator[str]:
 
     They are named and not left out: whom to exclude is decided before the study.
     """
-    by_rater: dict[str, list[Answer]] = {}
-    for answer in answers:
-        by_rater.setdefault(answer.user, []).append(answer)
     same, times = [], {}
-    for user, given in by_rater.items():
+    for user, given in grouped((answer.user, answer) for answer in answers).items():
         most = Counter(answer.score for answer in given).most_common(1)[0][1]
         if len(given) >= LEAST_ANSWERS and most >= SAME_ANSWER * len(given):
             same.append(f"{printable(user)} ({most} of {len(given)})")
@@ -215,7 +213,7 @@ def write_study_report(
 
 def write_json(found: StudyResult, path: str | os.PathLike[str]) -> None:
     """Write all figures of a study as JSON; undefined ones are null."""
-    aligned = {"systems": list(map(asdict, found.alignment)), "differences": found.differences}
+    aligned = [asdict(pair) | {"score": asdict(score)} for pair, score in found.alignment]
     values = {
         "format": 1,
         "answers": len(found.answers.kept),
@@ -227,27 +225,20 @@ def write_json(found: StudyResult, path: str | os.PathLike[str]) -> None:
         "left": asdict(found.left),
         "preference": found.preference and _figures(found.preference),
         "by_style": {name: _figures(one) for name, one in found.by_style.items()},
-        "alignment": aligned if found.alignment else None,
+        "alignment": {"systems": aligned, "differences": found.differences} if aligned else None,
         "reasons": found.reasons,
         "comments": found.answers.comments,
         "rounds": found.rounds,
         "seed": found.seed,
     }
-    text = json.dumps(_plain(values), indent=1, ensure_ascii=False, allow_nan=False)
+    plain = json.loads(json.dumps(values), parse_constant=lambda _: None)  # without NaN
+    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 
 
 def _figures(preference: Preference) -> dict[str, Any]:
     values = asdict(preference)
     return {name: values[name] for name in ("systems", "pairs", "not_compared", "anova")}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @matplotlib.style.context([STYLE, _LOOK])
@@ -266,24 +257,23 @@ def all_plots(found: StudyResult) -> dict[str, str]:
             {f"{pair.a} : {pair.b}": pair.counts for pair in pairs}
         )
     if found.alignment:
-        scores = {
-            one.a: Estimate(*(100 * value for value in vars(one.score).values()))
-            for one in found.alignment
-        }
+        scores = {pair.a: score for pair, score in found.alignment}
         title = "Alignment with 95 % intervals; the line is chance"
-        plots[title] = _points(scores, 50, "alignment, %")
+        plots[title] = _points(scores, 50, "alignment, %", factor=100)
         plots["Answers, from matched motion clearly better to mismatched"] = _bars(
-            {one.a: one.counts for one in found.alignment}
+            {pair.a: pair.counts for pair, _ in found.alignment}
         )
     return plots
 
 
-def _points(estimates: dict[str, Estimate], middle: float | None, label: str) -> str:
-    """Return the SVG of values with their intervals, a row each."""
+def _points(
+    estimates: dict[str, Estimate], middle: float | None, label: str, factor: float = 1
+) -> str:
+    """Return the SVG of values with their intervals, times a factor, a row each."""
     figure = new_figure(0.9 + 0.36 * len(estimates))
     axes = figure.subplots()
     names = [shortened(name, 44) for name in estimates]
-    bars = [[(found.value, found.low, found.high)] for found in estimates.values()]
+    bars = [[(factor * e.value, factor * e.low, factor * e.high)] for e in estimates.values()]
     draw_rows(axes, names, bars, [_INK], 0.0)
     if middle is not None:
         axes.axvline(middle, color=_GREY, lw=1.2, ls="--")

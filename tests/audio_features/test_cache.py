@@ -1,5 +1,6 @@
 import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +25,10 @@ class Slow:
         values = np.random.default_rng(len(wave.samples)).standard_normal((50, 3)) ** 7 * 1e-3
         values[0] = [-0.0, 1e-42, np.pi]
         return af.FeatureTrack(values, 0.0125 + 0.02 * np.arange(50), self.spec, self.names)
+
+
+def entries(folder: Path) -> set[Path]:
+    return set(folder.glob("*/*/*"))
 
 
 @pytest.fixture
@@ -76,7 +81,7 @@ def test_parts_of_a_stack_are_kept_alone_and_light_ones_not_at_all(tmp_path, wav
 def test_a_damaged_entry_is_made_again(tmp_path, wave, fault, caplog):
     slow, cache = Slow(), af.FeatureCache(tmp_path)
     whole = cache.extract(slow, wave)
-    (entry,) = tmp_path.rglob("*.safetensors")
+    (entry,) = entries(tmp_path)
     data = bytearray(entry.read_bytes())
     if fault == "flip":
         data[-100] ^= 1
@@ -98,9 +103,9 @@ def test_the_least_recently_used_entries_are_removed_first(tmp_path):
     waves = [af.Wave(np.full(16_000 + i, 0.1), 16_000) for i in range(6)]
     slow, cache = Slow(), af.FeatureCache(tmp_path)
     for age, wave in enumerate(waves[:4]):
-        before = set(tmp_path.rglob("*.safetensors"))
+        before = entries(tmp_path)
         cache.extract(slow, wave)
-        (entry,) = set(tmp_path.rglob("*.safetensors")) - before
+        (entry,) = entries(tmp_path) - before
         os.utime(entry, (age, age))
     size = cache.contents().size // 4
     cache = af.FeatureCache(tmp_path, max_bytes=4 * size + size // 2)
@@ -125,7 +130,7 @@ def test_what_a_killed_run_left_is_removed_after_an_hour(tmp_path, age, stays):
     os.utime(left, (time.time() - age,) * 2)
     cache = DiskCache(tmp_path)
     assert (cache.contents().entries, cache.contents().oldest) == (0, None)
-    cache.write(cache.path(KINDS[0], "cd", ".bin"), bytes(10))
+    cache.write(KINDS[0], "cd", bytes(10))
     assert left.exists() == stays
 
 
@@ -140,7 +145,7 @@ def test_clearing_removes_entries_and_nothing_else(tmp_path, wave):
     cache = af.FeatureCache(tmp_path)
     cache.extract(Slow(), wave)
     (tmp_path / "mine.txt").write_text("mine")
-    left = next(tmp_path.rglob("*.safetensors")).with_name(".x.part")
+    left = next(iter(entries(tmp_path))).with_name(".x.part")
     left.write_bytes(b"what a killed run left")
     removed = cache.clear()
     assert removed.entries == 1 and removed.size > 0

@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +13,9 @@ from statsmodels.stats.multitest import multipletests
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
     Answer,
+    BareItem,
     ClipResult,
     Interval,
-    ItemInterval,
     MetricResult,
     ModelResult,
     Pair,
@@ -183,17 +182,20 @@ def test_invalid_tables_of_ratings_are_refused_with_their_place(tmp_path, text, 
     assert all(fact in said for fact in ("x.csv", *facts))
 
 
-def said_by(speaker: str | None) -> ItemInterval:
-    return ItemInterval(SimpleNamespace(speaker=speaker, style=None))
-
-
 def clips_of(label: str, values: list[float], speakers: tuple[str | None, ...]) -> ModelResult:
     """Return a model with a sync for each of some takes, which each speaker numbers from 0."""
     found = model(label, sync=float(np.mean(values)))
     each = len(values) // len(speakers)
     found.clips = [
         ClipResult(
-            Pair(f"c{k}", f"c{k}", None, Path(), said_by(speakers[k // each]), take=f"{k % each}"),
+            Pair(
+                f"c{k}",
+                f"c{k}",
+                None,
+                BareItem(id="made"),
+                BareItem(id="recorded", speaker=speakers[k // each]),
+                take=f"{k % each}",
+            ),
             1.0,
             {"sync": value},
             {"sync": 1.0},

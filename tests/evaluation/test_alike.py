@@ -1,8 +1,10 @@
 """Unlike models are brought to one rig, set apart, marked, or refused."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rigs import without_joints
 
@@ -45,6 +47,31 @@ def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_p
     # Retargeting there and back leaves the same movement, not one 1.3 times as fast.
     for key in ("wrist_speed", "reach"):
         assert result(found, 1, key) == pytest.approx(result(found, 0, key), rel=0.05), key
+
+
+def test_a_body_of_the_same_size_with_other_arms_is_retargeted_to_the_recordings(
+    recordings, tmp_path
+):
+    """Upper arms of half of the length of both bones (squares added), and longer forearms."""
+    own = {path.stem: Motion.load(path) for path in sorted(recordings.glob("*.bvh"))}
+    rig = next(iter(own.values())).skeleton
+    offsets = rig.offsets.copy()
+    for side in ("Left", "Right"):
+        bones = [rig.index(f"{side}ForeArm"), rig.index(f"{side}Hand")]
+        lengths = np.linalg.norm(offsets[bones], axis=1, keepdims=True)
+        offsets[bones] *= np.linalg.norm(lengths) * np.sqrt([[0.25], [0.75]]) / lengths
+    other = Skeleton(rig.names, rig.parents, offsets, rig.end_sites)
+    made = saved(tmp_path / "m", {name: replace(m, skeleton=other) for name, m in own.items()})
+    assert "retargeted" in evaluate(made, recordings, cheap=True).models[0].marks
+
+
+def test_a_rate_that_differs_by_a_rounding_is_not_resampled(recordings, tmp_path):
+    own = {path.stem: Motion.load(path) for path in sorted(recordings.glob("*.bvh"))}
+    for fps, is_resampled in ((15.01, False), (15.1, True)):
+        clips = {name: replace(m, fps=fps if name == "clip1" else m.fps) for name, m in own.items()}
+        made = saved(tmp_path / f"{fps}", clips)
+        notes = evaluate(made, recordings, cheap=True).models[0].clips[1].notes
+        assert any("resampled" in note for note in notes) == is_resampled
 
 
 def test_all_models_are_measured_with_the_joints_that_all_have(recordings, gesture, tmp_path):
@@ -102,6 +129,8 @@ def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):
     found = evaluate({"one": one, "two": two}, recordings, cheap=True)
     assert [bool(model.marks) for model in found.models] == [False, True]
     assert all(seconds in " ".join(found.models[1].notes) for seconds in ("1.53 s", "2.53 s"))
+    said = [any("shorter than" in note for note in model.notes) for model in found.models]
+    assert said == [False, True]
 
 
 def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(

@@ -10,6 +10,7 @@ import soundfile
 from audio_features import Wave
 from gesturekit.evaluation import (
     GROUPS,
+    BareItem,
     Clip,
     ClipMetrics,
     FeatureModel,
@@ -149,9 +150,11 @@ def measured(pair_of_files, tmp_path_factory):
     recording.save(folder / "speech.npz")
     table = folder / "speech.txt"
     table.write_text("gesture\t5.0\t20.0\t15.0\t0.5\t\n")
-    statistics = ReferenceStatistics.of({"speech": folder / "speech.npz"}, recording.fps)
+    item = BareItem(id="speech", motion=folder / "speech.npz")
+    statistics = ReferenceStatistics.of({"speech": item}, recording.fps)
     metrics = ClipMetrics(statistics, GROUPS, Variants())
-    pair = Pair("speech", "speech", None, folder / "g.npz", folder / "speech.npz", sound)
+    made, spoken = BareItem(id="g"), BareItem(id="sound", audio=sound)
+    pair = Pair("speech", "speech", None, made, item, spoken)
     joints = body_joints(recording.skeleton)
 
     def measure(motion: Motion) -> dict[str, float]:

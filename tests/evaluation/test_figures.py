@@ -41,7 +41,7 @@ def model(folders):
 def motions(model) -> tuple[list[Motion], list[Motion]]:
     """The clips in the order of the report, and the recording of each."""
     pairs = [clip.pair for clip in model.clips]
-    return [Motion.load(p.generated) for p in pairs], [Motion.load(p.reference) for p in pairs]
+    return [p.generated.load_motion() for p in pairs], [p.reference.load_motion() for p in pairs]
 
 
 def test_figures_of_clips(model, motions, folders):

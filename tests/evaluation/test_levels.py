@@ -8,6 +8,7 @@ import pytest
 
 from gesturekit.corpus import Item, Manifest
 from gesturekit.evaluation import (
+    BareItem,
     ClipResult,
     Evaluation,
     Interval,
@@ -120,7 +121,7 @@ def test_a_floor_differs_from_the_ceiling_by_a_t_test_over_takes():
 
 def test_models_that_ignore_the_speech_are_floors_of_the_others():
     def model(label: str, timing: float, own: float) -> ModelResult:
-        pairs = [Pair(f"r{r}", f"r{r}", None, Path("a"), Path("b")) for r in range(3)]
+        pairs = [Pair(f"r{r}", f"r{r}", None, BareItem(id="a"), BareItem(id="b")) for r in range(3)]
         metrics, recorded = {"in_time": timing, "reach": 0.2}, {"in_time": own, "reach": 0.3}
         clips = [ClipResult(pair, 9.0, dict(metrics), recorded, {}) for pair in pairs]
         return ModelResult(label, Path(label), clips=clips, metrics=metric_results(clips, {}, {}))

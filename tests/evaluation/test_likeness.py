@@ -12,7 +12,15 @@ from scipy.spatial.transform import Rotation
 from sklearn.neighbors import NearestNeighbors
 
 from gesturekit.corpus import Item, Manifest
-from gesturekit.evaluation import Clip, ClipMetrics, Pair, Variants, evaluate, motion_windows
+from gesturekit.evaluation import (
+    BareItem,
+    Clip,
+    ClipMetrics,
+    Pair,
+    Variants,
+    evaluate,
+    motion_windows,
+)
 from gesturekit.evaluation.definitions import MOVEMENT, POOLED
 from gesturekit.evaluation.measuring.clip_metrics import ReferenceStatistics
 from gesturekit.evaluation.measuring.clips import chosen_frames
@@ -70,7 +78,8 @@ def backwards(motion: Motion) -> Motion:
 
 @cache
 def values_of(motion: Motion, recording: Motion) -> dict[str, float]:
-    pair, joints = Pair("", "", None, Path(), Path()), body_joints(recording.skeleton)
+    pair = Pair("", "", None, BareItem(id="a"), BareItem(id="b"))
+    joints = body_joints(recording.skeleton)
     return MEASURE.generated(Clip(pair, motion, recording, joints, None, ())).values
 
 

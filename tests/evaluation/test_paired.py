@@ -12,6 +12,7 @@ from gesturekit.evaluation import (
     DEFINITIONS,
     MOVEMENT,
     POOLED,
+    BareItem,
     ClipResult,
     MetricResult,
     ModelResult,
@@ -37,7 +38,7 @@ SEEDS = 0.06
 
 
 def clip(stem: str, sample: int, metrics: dict, recording: dict) -> ClipResult:
-    pair = Pair(f"{stem}_s{sample}", stem, None, Path("a"), Path("b"))
+    pair = Pair(f"{stem}_s{sample}", stem, None, BareItem(id="a"), BareItem(id="b"))
     return ClipResult(pair, 10.0, metrics, recording, {})
 
 

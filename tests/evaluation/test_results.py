@@ -10,6 +10,7 @@ import pytest
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import (
+    BareItem,
     ClipResult,
     Evaluation,
     Excluded,
@@ -59,8 +60,8 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
     assert restored(MetricResult, json.loads(json.dumps(asdict(sync)))) == sync
     plain = MetricResult("reach", Interval(1.0, None, None, 3, 1, "the whole set"))
     assert restored(MetricResult, json.loads(json.dumps(asdict(plain)))) == plain
-    clip = ClipResult(Pair("x_w002", "x", 2, Path("a"), Path("b")), 1.23456789, {"sync": 0.5},
-                      {"sync": 0.7}, {"sync": 0.1}, ("odd",))  # fmt: skip
+    pair = Pair("x_w002", "x", 2, BareItem(id="a"), BareItem(id="b"))
+    clip = ClipResult(pair, 1.23456789, {"sync": 0.5}, {"sync": 0.7}, {"sync": 0.1}, ("odd",))
     model = ModelResult(
         "é", Path("a"), "Good.", [QuestionAnswer("Q?", "sync", "yes", "Yes.")],
         {"sync": sync, "reach": plain}, {"x": {"coverage": own}}, [clip],

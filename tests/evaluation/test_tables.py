@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gesturekit.evaluation import (
+    BareItem,
     ClipResult,
     Evaluation,
     Excluded,
@@ -31,14 +32,16 @@ from gesturekit.evaluation.report.text import (
     terminal_lines,
 )
 
+MISSING = BareItem(id="a", motion=Path("a"))
+
 
 def of(value: float, low: float | None = None, high: float | None = None, n: int = 6) -> Interval:
     return Interval(value, low, high, n, 6, "takes")
 
 
 def clip(name: str, metrics: dict[str, float], recording: dict[str, float], **more) -> ClipResult:
-    return ClipResult(Pair(name, name, None, Path("a"), Path("b")), 12.34, metrics, recording, {},
-                      **more)  # fmt: skip
+    pair = Pair(name, name, None, MISSING, MISSING)
+    return ClipResult(pair, 12.34, metrics, recording, {}, **more)
 
 
 @pytest.fixture
@@ -161,7 +164,7 @@ def contested() -> Evaluation:
     for label, base in (("b|c_d", 0.2), ("語 50%", 0.4)):
         clips = []
         for k in range(6):
-            pair = Pair(f"r{k}", f"r{k}", None, Path("a"), Path("b"))
+            pair = Pair(f"r{k}", f"r{k}", None, MISSING, MISSING)
             value = base + 0.01 * (k % 3)
             clips.append(ClipResult(pair, 5.0, {"reach": value}, {"reach": 0.5}, {}))
         metrics = {

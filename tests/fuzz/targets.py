@@ -130,7 +130,7 @@ def wave() -> af.Wave:
 
 
 def cached(folder: Path, file: Path) -> None:
-    (entry,) = (folder / "cache").glob("*/*/*.safetensors")
+    (entry,) = (folder / "cache").glob("*/*/*")
     shutil.copyfile(file, entry)
     track = af.FeatureCache(folder / "cache").extract(Slow(), wave())
     assert track.values.shape == (5, 2), "a damaged entry was taken"
@@ -138,7 +138,7 @@ def cached(folder: Path, file: Path) -> None:
 
 def cache_entry(folder: Path) -> list[bytes]:
     af.FeatureCache(folder / "cache").extract(Slow(), wave())
-    (entry,) = (folder / "cache").glob("*/*/*.safetensors")
+    (entry,) = (folder / "cache").glob("*/*/*")
     return [entry.read_bytes()]
 
 

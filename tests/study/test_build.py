@@ -33,13 +33,13 @@ def test_four_systems_give_the_designs_of_the_paper(styles, each, seed):
     lists = make_lists(config, [one for style in styles for one in segments(each, style)])
     over_all, over_styles = Counter(), Counter()
     for one in lists:
-        pairs = Counter(c.systems for c in one)
+        pairs = Counter(systems for _, systems in one)
         assert len(pairs) == 12 and set(pairs.values()) == {each * len(styles) / 12}
-        assert len({c.segment.name for c in one}) == each * len(styles)
-        within = Counter((c.segment.style, *c.systems) for c in one)
+        assert len({segment.name for segment, _ in one}) == each * len(styles)
+        within = Counter((segment.style, *systems) for segment, systems in one)
         assert max(within.values()) - min(within.values()) <= 1
         over_styles += within
-        over_all.update((c.segment.name, *c.systems) for c in one)
+        over_all.update((segment.name, *systems) for segment, systems in one)
     assert set(over_styles.values()) == {2 * each}
     # 24 lists and 12 ordered pairs: each pair of each segment twice, or nearly always where the 18
     # of a style are no multiple of 12.
@@ -69,7 +69,7 @@ SYSTEMS = "title: x\nsystems: {a: x, b: y}\n"
         (SYSTEMS + "answers: [better, worse]", ["answers", "2"]),
         (SYSTEMS + 'post_url: "javascript:alert(1)"', ["post_url", "alert"]),
         (SYSTEMS + 'post_url: "https://h; script-src *"', ["post_url", "script"]),
-        (SYSTEMS + "pairs: 0", ["pairs", "0", "1"]),
+        (SYSTEMS + "pairs: 0", ["pairs", "0", "above 0"]),
         (SYSTEMS + "lists: 1001", ["lists", "1001"]),
         (SYSTEMS + "attention_checks: -1", ["attention_checks", "1"]),
         (SYSTEMS + "styles: {x: happy}", ["preference", "styles"]),
@@ -220,11 +220,15 @@ def test_motions_are_shown_with_speech_of_their_name_as_long_as_they_last(
     assert build_study(config, tmp_path / "y").page.is_file()
 
 
+def test_twelve_systems_are_the_most_on_one_page_of_sliders():
+    assert len(make_lists(config_of(12, design="rating", lists=1), segments(3))[0]) == 3
+
+
 def test_each_list_rates_all_systems_of_its_segments():
     lists = make_lists(config_of(5, design="rating", pairs=6, lists=4), segments(8))
-    assert {c.systems for one in lists for c in one} == {("s0", "s1", "s2", "s3", "s4")}
-    assert all(len({c.segment.name for c in one}) == 6 for one in lists)
-    assert set(Counter(c.segment.name for one in lists for c in one).values()) == {3}
+    assert {systems for one in lists for _, systems in one} == {("s0", "s1", "s2", "s3", "s4")}
+    assert all(len({segment.name for segment, _ in one}) == 6 for one in lists)
+    assert set(Counter(segment.name for one in lists for segment, _ in one).values()) == {3}
 
 
 def test_mismatched_motion_is_another_clip_of_the_same_folder():
@@ -239,5 +243,5 @@ def test_mismatched_motion_is_another_clip_of_the_same_folder():
         seen.add(str(found))
     assert len(seen) > 1
     lists = make_lists(config_of(1, design="mismatch"), clips)
-    pairs = {c.systems for one in lists for c in one}
+    pairs = {systems for one in lists for _, systems in one}
     assert pairs == {("s0", "s0_Mismatched"), ("s0_Mismatched", "s0")}

@@ -109,6 +109,7 @@ def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, tmp_path, run
         code, _, _ = run("analyse", path, "--json", figures, *options, "--existing", "replace")
         intervals.append(json.dumps(json.loads(figures.read_text())["preference"]))
     assert code == 0 and len(set(intervals)) == 3
+    run("analyse", path, "--rounds", 0).fails(2, "rounds")
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import functools
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from audio_features import AudioFeaturesError
+from gesturekit.corpus.manifest import Item
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -36,7 +36,7 @@ from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.mouth import mouth_opening
 from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
 from gesturekit.evaluation.metrics.sync import hardly_moves
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, grouped
+from gesturekit.evaluation.pairs import BareItem, Excluded, Pair, grouped
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points
 from gesturekit.motion.parts import body_joints
@@ -97,14 +97,14 @@ class ReferenceStatistics:
     excluded: list[Excluded] = field(default_factory=list)
 
     @classmethod
-    def of(cls, recordings: Mapping[str, Path | ItemInterval], fps: float) -> ReferenceStatistics:
+    def of(cls, recordings: Mapping[str, Item], fps: float) -> ReferenceStatistics:
         """Compute the statistics of recordings; leave out rigs that differ from the first one."""
         found, limits, joints = cls(), LimitsFit(), tuple[str, ...]()
         sums, n_frames = np.zeros(1), 0
         roots: set[str] = set()  # they turn with the whole body
-        for key, path in recordings.items():
+        for key, item in recordings.items():
             try:
-                motion = load_recording(path, fps)
+                motion = load_recording(item, fps)
                 joints = joints or body_joints(motion.skeleton)
                 if not set(joints) <= set(motion.skeleton.names):
                     raise EvaluationError("its rig differs from that of the first recording")
@@ -244,6 +244,7 @@ class ClipMetrics:
         for sound in sounds:
             found = Values()
             self._speech(found, inputs, sound)
+            found.values.pop("sync_lag", None)  # that of other sounds is no chance level
             every += found.values.items()
         return {key: float(np.mean(values)) for key, values in grouped(every).items()}
 
@@ -292,7 +293,7 @@ class ClipMetrics:
         results = {d.key: found.add(d, *sources) for d in self._chosen("sound")}
         synced = results.get("sync")
         if synced is not None and not (synced.note and synced.r):  # else its chance is unknown
-            found.values["in_time"] = synced.r - synced.chance_mean
+            found.values |= {"in_time": synced.r - synced.chance_mean, "sync_lag": synced.lag}
         elif synced is None and hardly_moves(inputs.motion, inputs.clip.recording):
             found.values["in_time"] = 0.0
         for key, result in results.items():
@@ -301,7 +302,7 @@ class ClipMetrics:
                 found.problems += [(key, result.note)] if result.note else []
 
 
-_NAMELESS = Pair("clip", "clip", None, Path("clip"), Path("clip"))
+_NAMELESS = Pair("clip", "clip", None, BareItem(id="clip"), BareItem(id="clip"))
 
 
 def nameless_clip(motion: Motion, recording: Motion) -> Clip:

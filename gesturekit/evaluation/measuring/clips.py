@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,15 +21,13 @@ from gesturekit.evaluation.metrics.inputs import at_rate
 from gesturekit.evaluation.metrics.mouth import with_mouth_alone
 from gesturekit.evaluation.metrics.physical import joint_speed
 from gesturekit.evaluation.metrics.rhythm import music_beats, speech_onsets
-from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, ItemInterval, Pair
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, Excluded, Pair
 from gesturekit.formats.tables import load_semantics
-from gesturekit.motion import Motion
+from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.defects import MAX_SPEED, format_speed, speed_limit
 from gesturekit.motion.parts import body_joints, find_legs, is_upper_body, leg_joints
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.retarget import retarget
-from gesturekit.motion.rotations import IDENTITY
-from gesturekit.motion.skeleton import forward_kinematics
 
 LENGTH_TOLERANCE = 0.1
 """Largest difference in length between a clip and its recording without a note, seconds."""
@@ -97,14 +95,7 @@ class Clip:
     @functools.cached_property
     def same_body(self) -> bool:
         """True if the bone lengths of both bodies agree to 1 %."""
-        own, other = (
-            np.linalg.norm(
-                [m.skeleton.offsets[m.skeleton.index(name)] for name in self.joints[1:]], axis=-1
-            )
-            for m in (self.generated, self.recording)
-        )
-        rounding = 1e-3 * body_scale(self.recording.skeleton)
-        return bool(np.allclose(own, other, rtol=0.01, atol=rounding))
+        return _same_bones(self.generated, self.recording, self.joints, 0.01, 1e-3)
 
 
 def load_clip(pair: Pair, fps: float, without: frozenset[str] = frozenset()) -> Clip:
@@ -133,13 +124,14 @@ def load_clip(pair: Pair, fps: float, without: frozenset[str] = frozenset()) -> 
             if recording.n_frames - first < 2:
                 raise MotionError(f"it ends before its window {pair.window} ({start:g} s) begins")
             recording = recording[first : first + n_frames]
-            semantic = None if semantic is None else _later(semantic, start)
+            if semantic is not None:
+                semantic = replace(semantic, times=semantic.times - start)
         joints, generated, remarks = matched(generated, recording)
         joints = tuple(name for name in joints if without_namespace(name) not in without)
         if len(joints) < 2:
             raise MotionError("fewer than 2 joints are common to all models")
     except MotionError as error:
-        raise MotionError(f"{pair.generated}: {pair.reference.name}: {error}") from None
+        raise MotionError(f"{pair.generated}: {pair.stem}: {error}") from None
     return Clip(pair, generated, recording, joints, semantic, (*notes, *remarks))
 
 
@@ -172,7 +164,7 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
     by_name = len(joints) >= max(2, MATCHED * len(names))
     named = _renamed(motion, renamed) if by_name else motion
     notes = ["the generated rig has no legs"] if legs else []
-    if not by_name or not _same_bones(named, recording, joints):
+    if not by_name or not _same_bones(named, recording, joints, SAME_BONES, _SHORTEST):
         try:
             moved = retarget(motion, rig)
             if legs:  # they would be measured as if they had been generated
@@ -212,8 +204,17 @@ def _renamed(motion: Motion, renamed: dict[str, str]) -> Motion:
     return replace(motion, skeleton=rig, joint_translations=moved)
 
 
-def _same_bones(motion: Motion, recording: Motion, joints: tuple[str, ...]) -> bool:
-    """Return whether distances between neighbours among common joints agree, at rest."""
+def _same_bones(
+    motion: Motion, recording: Motion, joints: tuple[str, ...], within: float, rounding: float
+) -> bool:
+    """Return whether distances between neighbours among common joints agree, at rest.
+
+    Args:
+        motion, recording: two motions.
+        joints: names of common joints.
+        within: largest relative difference.
+        rounding: difference on the reference body that is always allowed, metres.
+    """
     one, other = motion.skeleton, recording.skeleton
     moving = {*motion.joint_translations, *recording.joint_translations}
     known = {other.index(name) for name in joints}
@@ -222,14 +223,14 @@ def _same_bones(motion: Motion, recording: Motion, joints: tuple[str, ...]) -> b
         above = next((a for a in other.ancestors(j) if a in known), None)
         if above is not None and other.names[j] not in moving:
             pairs.append((other.names[above], other.names[j]))
-    lengths = []
-    for rig in (one, other):
-        rest = np.broadcast_to(IDENTITY, (rig.n_joints, 4))
-        places = forward_kinematics(rest, np.zeros(3), rig)
+
+    def lengths(rig: Skeleton) -> np.ndarray:
         ends = np.array([[rig.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2)
-        lengths.append(np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=-1))
-    own, wanted = lengths
-    return bool(np.allclose(own, wanted, rtol=SAME_BONES, atol=_SHORTEST * body_scale(other)))
+        bones = rig.rest_positions[ends]
+        return np.linalg.norm(bones[:, 1] - bones[:, 0], axis=-1)
+
+    atol = rounding * body_scale(other)
+    return bool(np.allclose(lengths(one), lengths(other), rtol=within, atol=atol))
 
 
 def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
@@ -256,50 +257,22 @@ def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
     return notes
 
 
-def load_recording(path: Path | ItemInterval, fps: float) -> Motion:
+def load_recording(item: Item, fps: float) -> Motion:
     """Read a recording and resample it to `fps`.
 
     Raises:
-        FormatError, MotionError: the file cannot be read.
+        CorpusError, FormatError, MotionError: the file cannot be read.
     """
     return _cached(
-        (path, fps), lambda: at_rate(_read(path), fps), lambda motion: motion.rotations.nbytes
+        (item, fps), lambda: at_rate(_read(item), fps), lambda motion: motion.rotations.nbytes
     )
 
 
-def load_wave(source: Path | ItemInterval) -> Wave:
-    """Read a recording's sound.
-
-    Raises:
-        AudioError: it cannot be read.
-    """
-    return source.item.load_wave() if isinstance(source, ItemInterval) else Wave.load(source)
-
-
-def _later(track: FeatureTrack, start: float) -> FeatureTrack:
-    keep = track.times >= start
-    if not keep.any():
-        keep[-1] = True
-    return FeatureTrack(track.values[keep], track.times[keep] - start, track.spec, track.names)
-
-
-def _read(path: Path | ItemInterval) -> Motion:
-    motion = with_mouth_alone(read_motion(path))
+def _read(item: Item) -> Motion:
+    motion = with_mouth_alone(item.load_motion())
     if motion.n_frames < 2:
-        raise FormatError(f"{path}: one frame; a motion to be measured has at least 2")
+        raise FormatError(f"{item}: one frame; a motion to be measured has at least 2")
     return motion
-
-
-def read_motion(path: Path | ItemInterval) -> Motion:
-    """Read a motion at its own frame rate; its errors name the file."""
-    if isinstance(path, ItemInterval):
-        return path.item.load_motion()
-    try:
-        return Motion.load(path)
-    except (FormatError, MotionError) as error:
-        # The error of an invalid motion does not name its file.
-        text = str(error)
-        raise type(error)(text if path.name in text else f"{path}: {text}") from error
 
 
 _STEP = 0.01  # seconds between values of a track read from intervals
@@ -353,7 +326,7 @@ class RecordedSound:
         return music_beats(self.wave)
 
 
-def load_sound(path: Path | ItemInterval, window: int | None) -> RecordedSound:
+def load_sound(item: Item, window: int | None) -> RecordedSound:
     """Read a sound, or one 10 s window of it; recent ones are in memory.
 
     Raises:
@@ -361,11 +334,11 @@ def load_sound(path: Path | ItemInterval, window: int | None) -> RecordedSound:
     """
 
     def load() -> RecordedSound:
-        wave = load_wave(path)
+        wave = item.load_wave()
         at = None if window is None else window * WINDOW_SECONDS
         return RecordedSound(wave if at is None else wave.slice(at, WINDOW_SECONDS))
 
-    return _cached(("sound", path, window), load, lambda sound: sound.wave.samples.nbytes)
+    return _cached(("sound", item, window), load, lambda sound: sound.wave.samples.nbytes)
 
 
 class MotionSample:
@@ -467,50 +440,32 @@ def _size(pieces: Iterable[_Piece]) -> int:
     return sum(motion.rotations.nbytes for _, _, motion in pieces)
 
 
-@dataclass
-class TrainingMotion:
-    """Motion of the manifest's training split.
+def training_motion(
+    items: Sequence[Item], seed: int
+) -> tuple[list[tuple[Motion, str | None]], list[Excluded]]:
+    """Return (motion at 25 fps, its speaker) of a training split, and the items left out.
 
-    Attributes:
-        motions: at 25 fps; empty without such a split.
-        speakers: the speaker of each motion, if known.
-        note: "" or how much of the split is used.
-        excluded: items that cannot be read.
+    Args:
+        items: of the split; of more than `TRAINING_SECONDS`, so much is drawn at random.
+        seed: seed of the draw.
     """
-
-    motions: list[Motion] = field(default_factory=list)
-    speakers: list[str | None] = field(default_factory=list)
-    note: str = ""
-    excluded: list[Excluded] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, training: Sequence[Item], seed: int) -> TrainingMotion:
-        """Read the items of the training split."""
-        found, items = cls(), list(training)
-        total = sum(item.duration for item in items)
-        if total > TRAINING_SECONDS:
-            np.random.default_rng(seed).shuffle(items)
-        left = TRAINING_SECONDS
-        for item in items:
-            if left < 1.0:
-                break
-            try:
-                motion = load_recording(ItemInterval(item), FPS)
-            except GestureKitError as error:
-                found.excluded.append(Excluded(item.id, str(error), "the training split"))
-                continue
-            motion = copied(motion, 0, min(motion.n_frames, round(left * FPS)))
-            left -= motion.duration
-            found.motions.append(motion)
-            found.speakers.append(item.speaker)
-        if total > TRAINING_SECONDS:
-            found.note = f"{TRAINING_SECONDS / 60:.0f} of {total / 60:.0f} min of it"
-        return found
-
-    def with_joints(self, joints: Sequence[str]) -> list[tuple[Motion, str | None]]:
-        """Return (motion, its speaker) of those that have these joints."""
-        known = zip(self.motions, self.speakers, strict=True)
-        return [(m, speaker) for m, speaker in known if set(joints) <= set(m.skeleton.names)]
+    motions: list[tuple[Motion, str | None]] = []
+    excluded: list[Excluded] = []
+    order, left = list(items), TRAINING_SECONDS
+    if sum(item.duration for item in items) > TRAINING_SECONDS:
+        np.random.default_rng(seed).shuffle(order)
+    for item in order:
+        if left < 1.0:
+            break
+        try:
+            motion = load_recording(item, FPS)
+        except GestureKitError as error:
+            excluded.append(Excluded(item.id, str(error), "the training split"))
+            continue
+        motion = copied(motion, 0, min(motion.n_frames, round(left * FPS)))
+        left -= motion.duration
+        motions.append((motion, item.speaker))
+    return motions, excluded
 
 
 def halves(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:

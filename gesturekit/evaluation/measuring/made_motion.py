@@ -9,20 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
+from gesturekit.corpus.manifest import Item
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation.measuring.clips import MotionSample, chosen_frames, load_recording
 from gesturekit.evaluation.pairs import (
     WINDOW_SECONDS,
     BareItem,
-    ItemInterval,
     Items,
     Pair,
     Pairs,
-    recordings,
 )
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import arm_joints
@@ -40,7 +38,7 @@ NOISE, JITTER = 0.3, 0.05
 SWAY, SWAY_RATE = 0.2, 0.4
 """Amplitude of the foot slide on the reference body, metres, and its frequency, Hz."""
 
-_Recordings = Mapping[str, Path | ItemInterval]
+_Recordings = Mapping[str, Item]
 MakeMotion = Callable[[Pair, int], Motion]
 """Makes the motion for a recording, of a number of frames; it can be handed to other processes."""
 
@@ -115,7 +113,7 @@ def bad_motion(recording: Motion, other: Motion, training: Motion, seed: int) ->
 
 
 def baseline_pairs(
-    names: Sequence[str], models: Mapping[str, Pairs], reference: Path | Items, fps: float
+    names: Sequence[str], models: Mapping[str, Pairs], reference: Items, fps: float
 ) -> dict[str, Pairs]:
     """Return {name: a clip of the baseline for each recording of the first model}.
 
@@ -136,16 +134,15 @@ def baseline_pairs(
     wrong += [f"{n!r} {label}" for n in names if n in BASELINES and n in models]
     if wrong:
         raise EvaluationError(f"baseline {wrong[0]}")
-    every = recordings(reference)
-    training = reference.training if isinstance(reference, Items) else ()
-    source = {item.id: ItemInterval(item) for item in training} or every
+    every = reference.recordings()
+    source = {item.id: item for item in reference.training} or every
     windows = {pair.of: pair for pair in next(iter(models.values())).pairs}
     made: dict[str, Pairs] = {}
     for name in (name for name in names if name in BASELINES):
         make, made[name] = BASELINES[name](every, source, fps), Pairs()
         for pair in windows.values():
             clip = pair.stem if pair.window is None else f"{pair.stem}_w{pair.window:03d}"
-            motion = ItemInterval(BareItem(id=clip, make=partial(_made, pair, fps, make)))
+            motion = BareItem(id=clip, make=partial(_made, pair, fps, make))
             made[name].pairs.append(replace(pair, name=clip, generated=motion))
     return made
 
@@ -162,8 +159,8 @@ def _made(pair: Pair, fps: float, make: MakeMotion) -> Motion:
 def _mean_pose(every: _Recordings, source: _Recordings, fps: float) -> MakeMotion:
     """Return a maker of the mean pose of the recordings in `source`, held still."""
     sample, rigs = MotionSample(seed=0), set()
-    for path in source.values():
-        sample.add(motion := load_recording(path, fps))
+    for item in source.values():
+        sample.add(motion := load_recording(item, fps))
         rigs.add(motion.skeleton.names)
     if len(rigs) > 1:
         raise EvaluationError("baseline mean_pose needs recordings of one rig")

@@ -10,8 +10,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import itertools
 import json
-import logging
 import time
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -31,7 +31,6 @@ from gesturekit.evaluation.definitions import POOLED, SPEECH
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import (
     RecordedSound,
-    TrainingMotion,
     clip_notes,
     load_clip,
     load_recording,
@@ -39,7 +38,7 @@ from gesturekit.evaluation.measuring.clips import (
 )
 from gesturekit.evaluation.measuring.set_metrics import SetMeasurement, SetMetrics
 from gesturekit.evaluation.measuring.speaker import LikenessMeasurer, ceilings
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window, grouped
+from gesturekit.evaluation.pairs import Excluded, Pair, Window, grouped
 from gesturekit.evaluation.results import ClipResult, Interval, MetricResult, restored
 from gesturekit.evaluation.statistics.model_metrics import OTHER_SOUND
 from gesturekit.workers import Failure, in_processes
@@ -60,17 +59,14 @@ pairs; None for their set."""
 Measurement = ClipResult | Excluded | SetMeasurement
 """Result of measuring a target; a clip that cannot be read is `Excluded`."""
 
-_Sound = tuple[Path | ItemInterval, int | None]
+_Sound = tuple[Item, int | None]
 """Sound of a recording, and the index of its 10 s window; None for the whole."""
 _KIND = "measurements-1"
 _NUMERICAL = ("numpy", "scipy", "librosa", "soxr", "torch", "scikit-learn", "soundfile")
 _CODE = ("evaluation", "motion", "formats", "corpus")
 """Packages of gesturekit of which an edit may change a measurement."""
 _DESCRIPTIVE = frozenset({"id", "speaker", "style", "split", "text", "audio", "motion", "digests"})
-_LARGEST = 200_000_000  # bytes of an entry
 _T = TypeVar("_T")
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -163,32 +159,32 @@ class Measurer:
         )
 
     def _set(self, label: str) -> SetMeasurement:
-        training = TrainingMotion()
-        if POOLED in self.measure.groups:
-            training = TrainingMotion.of(self.training, self.seed)
         known, settings = self._of_recordings, (self.fps, self.features, self.seed)
-        metrics = SetMetrics(self.measure, self.recordings, training, *settings, known)
+        metrics = SetMetrics(self.measure, self.recordings, self.training, *settings, known)
         for pair in self.pairs[label]:
             with suppress(GestureKitError, AudioFeaturesError):  # reported by `_clip`
                 metrics.add(load_clip(pair, self.fps, self.without))
         return metrics.measured()
 
     @functools.cached_property
-    def recordings(self) -> dict[str, Path | ItemInterval]:
-        """Sources of the recordings that are compared with and can be read, by key."""
+    def recordings(self) -> dict[str, Item]:
+        """Recordings that are compared with and can be read, by key."""
         return {key: self.itself[key].reference for key in self.measure.statistics.recordings}
 
     @functools.cached_property
-    def _others(self) -> dict[Target, tuple[list[_Sound], list[Path | ItemInterval]]]:
+    def _others(self) -> dict[Target, tuple[list[_Sound], list[Item]]]:
         """Sounds and motion of other recordings that each clip is also compared with."""
-        found: dict[Target, tuple[list[_Sound], list[Path | ItemInterval]]] = {}
-        speech, keys = SPEECH in self.measure.groups, list(self.recordings)
+        found: dict[Target, tuple[list[_Sound], list[Item]]] = {}
+        speech, recorded = SPEECH in self.measure.groups, list(self.recordings.values())
+        places = {key: n for n, key in enumerate(self.recordings)}
         for label, pairs in self.pairs.items():
             every = list(dict.fromkeys((p.audio, p.window) for p in pairs if p.audio and speech))
+            at = {sound: n for n, sound in enumerate(every)}
             for index, pair in enumerate(pairs):
-                own = pair.audio, pair.window
-                sounds = _after(every, own, MISMATCHED) if pair.audio else []
-                motions = [self.recordings[key] for key in _after(keys, pair.stem, 1)]
+                sounds: list[_Sound] = []
+                if pair.audio is not None and speech:
+                    sounds = _after(every, at[pair.audio, pair.window], MISMATCHED)
+                motions = _after(recorded, places.get(pair.stem, 0), 1)
                 found[label, index] = sounds, motions
         return found
 
@@ -196,8 +192,7 @@ class Measurer:
     def ceilings(self) -> dict[str, tuple[Interval, str]]:
         """The recordings' own values (`measuring.speaker`), stored or computed here."""
         own = {key: self.itself[key] for key in self.recordings}
-        what = ["ceilings", list(own), _nesting(list(own.values()))]
-        key = self._key_of(what, self.recordings.values())
+        key = self._key_of(["ceilings"], list(own.values()))
         kind = dict[str, tuple[Interval, str]]
         return self._once(key, kind, lambda: ceilings(own, self.fps, self.measure))
 
@@ -205,9 +200,8 @@ class Measurer:
         """Return the likeness of a model (`measuring.speaker`), stored or computed here."""
         if POOLED not in self.measure.groups:
             return None
-        every, of_set = list(self.itself.values()), self._key((label, None))
-        what = ["likeness", of_set, _nesting(every)]
-        key = of_set and self._key_of(what, [pair.reference for pair in every])
+        of_set = self._key((label, None))
+        key = of_set and self._key_of(["likeness", of_set], list(self.itself.values()))
         kind = list[MetricResult]
         found = self._once(key, kind, lambda: [*filter(None, [self._likeness(clips)])])
         return found[0] if found else None
@@ -230,21 +224,22 @@ class Measurer:
         """Return the key of a measurement; None if it cannot be stored."""
         label, index = target
         if index is not None:
-            pair, (sounds, motions) = self.pairs[label][index], self._others[target]
-            files = [*_files(pair), *(sound for sound, _ in sounds), *motions]
-            return self._key_of([[w for _, w in sounds], pair.window], files)
-        pairs, order = self.pairs[label], dict[Window, int]()
-        files = [source for pair in pairs for source in _files(pair)]
-        files += [ItemInterval(item) for item in self.training]
-        windows = [(order.setdefault(pair.of, len(order)), pair.window) for pair in pairs]
-        features = self.features and self.features.fingerprint
-        what = ["set", windows, _nesting(pairs), features, self.seed]
-        return self._key_of(what, [*files, *self.recordings.values()])
+            sounds, motions = self._others[target]
+            others = [*(sound for sound, _ in sounds), *motions]
+            return self._key_of([w for _, w in sounds], [self.pairs[label][index]], others)
+        what = ["set", self.features and self.features.fingerprint, self.seed]
+        others = [*self.training, *self.recordings.values()]
+        return self._key_of(what, self.pairs[label], others)
 
-    def _key_of(self, what: list[Any], files: Iterable[Path | ItemInterval | None]) -> str | None:
-        """Return a digest of files, settings and code; None if a file has no content."""
+    def _key_of(
+        self, what: list[Any], pairs: Sequence[Pair], others: Sequence[Item] = ()
+    ) -> str | None:
+        """Return a digest of clips, other items, settings and code; None if one has no content."""
+        of_pairs = [(p.generated, p.reference, p.audio, p.semantic) for p in pairs]
+        files = [*itertools.chain(*of_pairs), *others]
         contents = ["" if file is None else _content(file) for file in files]
-        return None if None in contents else _digest_of([self._settings, what, contents])
+        what = [self._settings, what, _nesting(pairs), contents]
+        return None if None in contents else _digest_of(what)
 
     @functools.cached_property
     def _settings(self) -> str:
@@ -265,27 +260,13 @@ class Measurer:
 
     def _read(self, key: str | None) -> Any | None:
         """Return a stored measurement, or None if it is not stored or damaged."""
-        path = None if key is None else self._disk.path(_KIND, key, ".json")
-        try:
-            if path is None or path.stat().st_size > _LARGEST:
-                return None
-            checksum, _, text = path.read_text(encoding="utf-8").partition("\n")
-            if checksum != _sha256(text):
-                raise ValueError("its checksum is wrong")
-            self._disk.mark_used(path)
-            return json.loads(text)
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError) as error:
-            log.warning("%s: damaged (%s); measuring again", path, error)
-            return None
+        data = None if key is None else self._disk.read(_KIND, key)
+        return None if data is None else json.loads(data)
 
     def _write(self, key: str | None, values: Any) -> None:
         """Store a measurement, if it has a key."""
         if key is not None:
-            text = json.dumps(values, default=_plain)
-            path = self._disk.path(_KIND, key, ".json")
-            self._disk.write(path, f"{_sha256(text)}\n{text}".encode())
+            self._disk.write(_KIND, key, json.dumps(values, default=_plain).encode())
 
 
 def measure_all(
@@ -346,29 +327,23 @@ def _done(
         yield from in_processes(replace(measurer), left, workers)
 
 
-def _after(items: list, item: Any, count: int) -> list:
-    """Return up to `count` other items, cyclically from the next one."""
-    at = items.index(item) if item in items else 0
+def _after(items: Sequence[_T], at: int, count: int) -> list[_T]:
+    """Return up to `count` items after a place, cyclically and without its own."""
     return [items[(at + k) % len(items)] for k in range(1, min(count, len(items) - 1) + 1)]
 
 
-def _files(pair: Pair) -> tuple[Path | ItemInterval | None, ...]:
-    return pair.generated, pair.reference, pair.audio, pair.semantic
+def _nesting(pairs: Sequence[Pair]) -> list[list[int | None]]:
+    """Return each clip's window, and numbers of what it belongs to, in order of appearance."""
+    seen: list[dict[Any, int]] = [{}, {}, {}, {}]
+    found = []
+    for pair in pairs:
+        names = pair.of, (pair.speaker, pair.take), pair.speaker, pair.style
+        numbers = [known.setdefault(n, len(known)) for known, n in zip(seen, names)]
+        found.append([pair.window, *numbers])
+    return found
 
 
-def _nesting(pairs: Sequence[Pair]) -> list[tuple[int, ...]]:
-    """Return the numbers of each clip's take, speaker and style, in order of appearance."""
-    seen: list[dict[Any, int]] = [{}, {}, {}]
-    return [
-        tuple(
-            known.setdefault(name, len(known))
-            for known, name in zip(seen, ((pair.speaker, pair.take), pair.speaker, pair.style))
-        )
-        for pair in pairs
-    ]
-
-
-def _content(source: Path | ItemInterval) -> str | None:
+def _content(source: Item | Path) -> str | None:
     """Return a digest of the files of a clip or recording, and of how they are read.
 
     None for motion that is made in memory, and for files that cannot be read.
@@ -376,10 +351,9 @@ def _content(source: Path | ItemInterval) -> str | None:
     try:
         if isinstance(source, Path):
             return file_fingerprint(source)
-        item = source.item
-        values = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
+        values = {f.name: getattr(source, f.name) for f in dataclasses.fields(source)}
         how = [value for name, value in values.items() if name not in _DESCRIPTIVE]
-        files = [path and file_fingerprint(path) for path in (item.motion, item.audio)]
+        files = [path and file_fingerprint(path) for path in (source.motion, source.audio)]
         return None if any(map(callable, how)) else _digest_of([files, how])
     except OSError:
         return None
@@ -387,10 +361,7 @@ def _content(source: Path | ItemInterval) -> str | None:
 
 def _digest_of(values: Any) -> str:
     """Return a digest of plain values, records and arrays; paths are taken as text."""
-    return _sha256(json.dumps(values, sort_keys=True, default=_plain))
-
-
-def _sha256(text: str) -> str:
+    text = json.dumps(values, sort_keys=True, default=_plain)
     return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
 
 

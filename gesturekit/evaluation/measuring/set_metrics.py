@@ -5,17 +5,16 @@ Those of all clips pooled (hands, windows, copying) are each beside the recordin
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gesturekit.corpus.manifest import Item
 from gesturekit.errors import GestureKitError, MotionError
 from gesturekit.evaluation.definitions import (
     DEFINITIONS,
@@ -28,12 +27,13 @@ from gesturekit.evaluation.definitions import (
 )
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, compute
 from gesturekit.evaluation.measuring.clips import (
+    TRAINING_SECONDS,
     Clip,
     MotionSample,
-    TrainingMotion,
     evenly,
     halves,
     load_recording,
+    training_motion,
 )
 from gesturekit.evaluation.metrics import physical, similarity
 from gesturekit.evaluation.metrics.hands import (
@@ -63,7 +63,7 @@ from gesturekit.evaluation.metrics.two_sample import (
     two_sample_votes,
     within_reach,
 )
-from gesturekit.evaluation.pairs import Excluded, ItemInterval, Pair, Window
+from gesturekit.evaluation.pairs import Excluded, Pair, Window, grouped
 from gesturekit.evaluation.results import Interval, MetricResult
 from gesturekit.evaluation.statistics.intervals import (
     Takes,
@@ -73,7 +73,7 @@ from gesturekit.evaluation.statistics.intervals import (
     whole_set,
 )
 from gesturekit.evaluation.statistics.model_metrics import CEILING, level_of
-from gesturekit.motion import Motion, Skeleton
+from gesturekit.motion import Motion
 
 if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
@@ -117,33 +117,23 @@ class SetMeasurement:
     training_excluded: list[Excluded] = field(default_factory=list)
 
 
-_Speeds = tuple[SpeedHistogram, np.ndarray]
-"""Speeds of all joints, and (T - 1,) of the wrists, m/s; empty without wrists."""
-
-
-@dataclass
-class _Recording:
-    """A recording of a set, or window of one, and the clips for it.
+@dataclass(frozen=True, eq=False)
+class _Moved:
+    """A clip of a set, or a recording or window of one, without its motion.
 
     Attributes:
-        number: number of the recording, from 0.
-        pair: its first clip.
-        skeleton: its rig.
-        joints: names of the joints that all its clips have.
-        speeds: of its joints.
-        wrists: (T - 1,) speeds, m/s.
-        hands: its hands; empty for a rig without, and where these are not measured.
-        samples: hands of its clips.
+        pair: the clip; of a recording, its first clip.
+        joints: common body joints of the clip and its recording.
+        speeds: of these joints.
+        wrists: (T - 1,) speeds, m/s; empty without wrists.
+        hands: None for a rig without, and where these are not measured.
     """
 
-    number: int
     pair: Pair
-    skeleton: Skeleton
     joints: tuple[str, ...]
     speeds: SpeedHistogram
     wrists: np.ndarray
-    hands: list[Hands] = field(default_factory=list)
-    samples: list[Hands] = field(default_factory=list)
+    hands: Hands | None
 
 
 @dataclass(frozen=True)
@@ -212,7 +202,7 @@ class SetMetrics:
     Attributes:
         measure: the metrics of single clips, with groups and variants.
         sources: all recordings by key.
-        training: motion of the training split; without any, takes are compared with each other.
+        training: items of the training split; without any, takes are compared with each other.
         fps: frame rate of the evaluation.
         features: the feature extractor of `gesturekit fit-features`; without it, no FGD.
         seed: seed of intervals and subsamples.
@@ -220,8 +210,8 @@ class SetMetrics:
     """
 
     measure: ClipMetrics
-    sources: Mapping[str, Path | ItemInterval]
-    training: TrainingMotion
+    sources: Mapping[str, Item]
+    training: Sequence[Item]
     fps: float
     features: Extractor | None
     seed: int
@@ -229,10 +219,11 @@ class SetMetrics:
 
     def __post_init__(self) -> None:
         seed = self.seed
-        self._found = SetMeasurement(training_excluded=self.training.excluded)
-        self._pairs: list[Pair] = []
-        self._recordings: dict[Window, _Recording] = {}
-        self._speeds: list[_Speeds] = []
+        pooled = POOLED in self.measure.groups
+        self._trained, excluded = training_motion(self.training if pooled else (), seed)
+        self._found = SetMeasurement(training_excluded=excluded)
+        self._clips: list[_Moved] = []
+        self._recordings: dict[Window, _Moved] = {}
         self._poses: list[list[np.ndarray]] = []  # of the global CCA, every k-th; and their joints
         self._step, self._pose_joints = 1, tuple[str, ...]()
         self._inter: dict[str, tuple[Pair, float]] = {}
@@ -240,43 +231,44 @@ class SetMetrics:
         self._recorded, self._generated = MotionSample(seed), MotionSample(seed)  # 25 fps
         self._recorded_at_fps, self._generated_at_fps = MotionSample(seed), MotionSample(seed)
         self._without_hands: MotionError | None = None
-        self._digest = hashlib.sha256()  # of the recordings
 
     def add(self, clip: Clip) -> None:
         """Add a clip and its recording."""
-        groups, pair, joints = self.measure.groups, clip.pair, clip.joints
-        if self._pairs and self._pairs[-1].stem != pair.stem:
+        groups, pair = self.measure.groups, clip.pair
+        if pair.of not in self._recordings:
+            samples = self._recorded, self._recorded_at_fps
+            self._recordings[pair.of] = self._moved(clip, clip.recording, *samples)
+        if self._clips and self._clips[-1].pair.stem != pair.stem:
             self._features = []
-        self._pairs.append(pair)
+        samples = self._generated, self._generated_at_fps
+        self._clips.append(self._moved(clip, clip.generated, *samples))
         self._found.by_clip.append({})
-        recording = self._recordings.get(pair.of)
-        if recording is None:
-            number, rig = len(self._recordings), clip.recording.skeleton
-            recording = _Recording(number, pair, rig, joints, *_speeds(clip.recording, joints))
-            self._recordings[pair.of] = recording
-            if POOLED in groups:
-                motion = at_rate(clip.recording, FPS)
-                self._recorded.add(motion)
-                self._digest.update(np.ascontiguousarray(motion.rotations).data)
-                recording.hands += self._hands_of(motion)
-            if FRECHET in groups:
-                self._recorded_at_fps.add(clip.recording)
-        recording.joints = tuple(name for name in recording.joints if name in joints)
-        self._speeds.append(_speeds(clip.generated, joints))
-        if POOLED in groups:
-            motion = at_rate(clip.generated, FPS)
-            self._generated.add(motion)
-            recording.samples += self._hands_of(motion)
-        if FRECHET in groups:
-            self._generated_at_fps.add(clip.generated)
         if SIMILARITY in groups:
             self._add_poses(clip)
         if PATCHES in groups and len(self._features) < INTER_SAMPLES:
             with suppress(GestureKitError):  # local diversity reports the reason
                 variant = self.measure.variants.patches
-                self._features.append(patch_features(clip.generated, variant, joints=joints))
+                self._features.append(patch_features(clip.generated, variant, joints=clip.joints))
                 if len(self._features) > 1:
                     self._inter[pair.stem] = pair, inter_diversity(self._features)
+
+    def _moved(
+        self, clip: Clip, motion: Motion, sample: MotionSample, sample_at_fps: MotionSample
+    ) -> _Moved:
+        """Add the motion of a clip, or its recording, to the samples; return the rest of it."""
+        hands, wrists = None, np.empty(0)
+        with suppress(GestureKitError):  # a rig without wrists
+            wrists = physical.wrist_speed(motion)
+        if FRECHET in self.measure.groups:
+            sample_at_fps.add(motion)
+        if POOLED in self.measure.groups:
+            sample.add(at_25 := at_rate(motion, FPS))
+            try:
+                hands = Hands.of(at_25)
+            except MotionError as error:
+                self._without_hands = self._without_hands or error
+        speeds = SpeedHistogram.of([physical.relative_speed(motion, clip.joints)])
+        return _Moved(clip.pair, clip.joints, speeds, wrists, hands)
 
     def _add_poses(self, clip: Clip) -> None:
         """Keep every k-th pose of all clips; k is doubled when there are too many."""
@@ -288,26 +280,18 @@ class SetMetrics:
                 self._step *= 2
                 self._poses = [[side[::2].copy() for side in sides] for sides in self._poses]
 
-    def _hands_of(self, motion: Motion) -> list[Hands]:
-        """Return the hands of a motion; without any, return nothing and keep the error."""
-        try:
-            return [Hands.of(motion)]
-        except MotionError as error:
-            self._without_hands = self._without_hands or error
-            return []
-
     def measured(self) -> SetMeasurement:
         """Compute the metrics; those that fail are listed as problems."""
-        found, recorded = self._found, list(self._recordings.values())
-        found.speeds = SpeedHistogram.sum_of(counted for counted, _ in self._speeds)
+        found, recorded = self._found, self._recordings.values()
+        found.speeds = SpeedHistogram.sum_of(clip.speeds for clip in self._clips)
         found.recorded_speeds = SpeedHistogram.sum_of(one.speeds for one in recorded)
-        found.wrists = _thinned([wrists for _, wrists in self._speeds])
+        found.wrists = _thinned([clip.wrists for clip in self._clips])
         found.recorded_wrists = _thinned([one.wrists for one in recorded])
         parts: list[tuple[Sequence[str], Callable[[], dict[str, MetricResult]]]] = []
-        if self._pairs:
+        if self._clips:
             parts += [(["hellinger"], self._hellinger), (["cca_global"], self._global_cca)]
             parts += [(["inter_diversity"], self._inter_diversity)]
-        if self._pairs and POOLED in self.measure.groups:
+        if self._clips and POOLED in self.measure.groups:
             parts += [
                 (HAND_KEYS, self._hands),
                 (["calm_lively_r", "calm_lively_slope"], self._calm_and_lively),
@@ -316,7 +300,7 @@ class SetMetrics:
                 *(([key], partial(self._copying, side)) for side, key in ARM_KEYS.items()),
                 (["calibration", "seed_spread", "sharpness"], self._calibration),
             ]
-        if self._pairs and FRECHET in self.measure.groups:
+        if self._clips and FRECHET in self.measure.groups:
             definitions = definitions_of("distance", "diversity")
             parts += [([d.key], partial(self._frechet, d)) for d in definitions]
         for names, metrics in parts:
@@ -330,19 +314,21 @@ class SetMetrics:
     def _result(
         self, key: str, value: float, own: float | None, note: str = "", informative: bool = True
     ) -> dict[str, MetricResult]:
-        interval = whole_set(value, len(self._pairs))
+        interval = whole_set(value, len(self._clips))
         return {key: MetricResult(key, interval, own, note=note, informative=informative)}
 
     def _hellinger(self) -> dict[str, MetricResult]:
-        own = [counted for counted, _ in self._speeds]
-        recorded = [self._recordings[pair.of].speeds for pair in self._pairs]
+        own = [clip.speeds for clip in self._clips]
+        recorded = [self._recordings[clip.pair.of].speeds for clip in self._clips]
 
         def distance(drawn: np.ndarray) -> float:
             sides = ([side[i] for i in drawn] for side in (own, recorded))
             return hellinger(*map(SpeedHistogram.sum_of, sides))
 
         within, whole = DEFINITIONS["hellinger"].within, self._found.speeds
-        interval = interval_of_statistic(distance, Takes.of(self._pairs), within)
+        interval = interval_of_statistic(
+            distance, Takes.of([clip.pair for clip in self._clips]), within
+        )
         beyond = 100.0 * whole.beyond / max(int(whole.counts.sum()) + whole.beyond, 1)
         note = f"{beyond:.1f} % beyond the last bin"
         return {"hellinger": MetricResult("hellinger", interval, note=note)}
@@ -363,7 +349,8 @@ class SetMetrics:
     @cached_property
     def _recording_of(self) -> list[int]:
         """Number of the recording of each clip."""
-        return [self._recordings[pair.of].number for pair in self._pairs]
+        numbers = {window: number for number, window in enumerate(self._recordings)}
+        return [numbers[clip.pair.of] for clip in self._clips]
 
     @cached_property
     def _groups(self) -> list[_Group]:
@@ -381,11 +368,12 @@ class SetMetrics:
             clips = [(n, m) for n, m in generated if names[self._recording_of[n]] == name]
             if not own or not clips:
                 continue
-            members = [recording for recording, of in zip(every, names) if of == name]
-            upper = upper_joints(members[0].skeleton)
-            joints = tuple(n for n in upper if all(n in one.joints for one in members))
-            trained = self.training.with_joints(joints)
-            speaker = members[0].pair.speaker
+            numbered = zip(self._clips, self._recording_of)
+            rigs = [clip.joints for clip, n in numbered if names[n] == name]
+            upper = upper_joints(own[0][1].skeleton)
+            joints = tuple(joint for joint in upper if all(joint in rig for rig in rigs))
+            trained = [(m, of) for m, of in self._trained if {*joints} <= {*m.skeleton.names}]
+            speaker = every[own[0][0]].pair.speaker
             groups.append(
                 _Group(
                     joints,
@@ -408,15 +396,16 @@ class SetMetrics:
         """
         if self._without_hands is not None:
             raise self._without_hands
-        every = self._recordings.values()
-        return [hands for one in every for hands in one.hands], [one.samples for one in every]
+        recorded = [one.hands for one in self._recordings.values() if one.hands]
+        samples = grouped((clip.pair.of, clip.hands) for clip in self._clips if clip.hands)
+        return recorded, list(samples.values())
 
     def _hands(self) -> dict[str, MetricResult]:
         recorded, samples = self._with_hands()
         ours = hand_values([hands for clips in samples for hands in clips])
         theirs, results = hand_values(recorded), dict[str, MetricResult]()
         # A held-out take may be livelier than all of training; a model can only know the latter.
-        motions = self.training.motions
+        motions = [motion for motion, _ in self._trained]
         trained = self._once("hands", lambda: hand_values(motions) if motions else {})
         for key in HAND_KEYS:
             known = np.isfinite(trained.get(key, np.nan))
@@ -444,7 +433,7 @@ class SetMetrics:
         length = round(float(np.median([len(hands.paths) for hands in recorded])))
         speaker = [
             hand_level(motion[start : start + length])
-            for motion in self.training.motions
+            for motion, _ in self._trained
             for start in range(0, motion.n_frames - length + 1, length)
         ]
         levels = [[hand_level(hands) for hands in clips] for clips in samples]
@@ -492,7 +481,7 @@ class SetMetrics:
 
     def _copying(self, side: str) -> dict[str, MetricResult]:
         """Return distances to training motion, of an arm or (side "") of all; {} without any."""
-        if not self.training.motions:
+        if not self._trained:
             return {}
         key, rng, distances = ARM_KEYS.get(side, "copying"), np.random.default_rng(self.seed), []
         for group in self._groups:
@@ -529,16 +518,17 @@ class SetMetrics:
     def _once(self, name: str, compute: Callable[[], Any]) -> Any:
         """Return a value of the recordings, computed once for all models that share them."""
         # A model lacks the recordings whose clips cannot be read.
-        key = (name, tuple(group.joints for group in self._groups), self._digest.hexdigest())
+        key = (name, tuple(group.joints for group in self._groups), tuple(self._recordings))
         if key not in self.known:
             self.known[key] = compute()
         return self.known[key]
 
     def _compared(self) -> str:
         """Return how recordings are compared with recordings, in words."""
-        if self.training.motions:
-            note = f" ({self.training.note})" if self.training.note else ""
-            return f"against the training split{note}"
+        if self._trained:
+            total, most = sum(item.duration for item in self.training), TRAINING_SECONDS
+            of_it = f" ({most / 60:.0f} of {total / 60:.0f} min of it)" if total > most else ""
+            return f"against the training split{of_it}"
         if all(group.training or len(set(group.takes.tolist())) > 1 for group in self._groups):
             return "each take against the speaker's others"
         return "one half against the other"
@@ -551,13 +541,13 @@ class SetMetrics:
         geometric features and those of `features` need their own joints. Where clips are not of all
         recordings, or of windows of them, all of these are the reference.
         """
-        full, recordings = self._recorded_at_fps, list(self._recordings.values())
+        full = self._recorded_at_fps
         if set(self._recordings) != {(key, None) for key in self.sources}:
             full = MotionSample(self.seed)
             for source in self.sources.values():
                 full.add(load_recording(source, self.fps))
-        first, *others = recordings
-        joints = tuple(n for n in first.joints if all(n in one.joints for one in others))
+        first, *others = self._clips
+        joints = tuple(n for n in first.joints if all(n in clip.joints for clip in others))
         return SimpleNamespace(
             reference=full.motions,
             is_full=full is self._recorded_at_fps,
@@ -584,7 +574,7 @@ class SetMetrics:
             own = self._computed(definition, self._recorded_at_fps)
         if not is_distance:
             return self._result(key, ours, own)
-        takes = Takes.of([self._pairs[owner] for owner in generated.owners]).count
+        takes = Takes.of([self._clips[owner].pair for owner in generated.owners]).count
         known = takes >= INDEPENDENT * len(generated.owners) and not np.isnan(ours.low)
         low, high = (ours.low, ours.high) if known else (None, None)
         n, over = ours.n_generated, f"windows, against {ours.n_reference} of the recordings"
@@ -595,14 +585,6 @@ class SetMetrics:
     def _computed(self, definition: Definition, sample: MotionSample) -> Any | None:
         motions = SimpleNamespace(generated=sample.motions, motions=sample.motions)
         return compute(definition, motions, self._frechet_inputs)
-
-
-def _speeds(motion: Motion, joints: Sequence[str]) -> _Speeds:
-    try:
-        wrists = physical.wrist_speed(motion)
-    except GestureKitError:
-        wrists = np.empty(0)
-    return SpeedHistogram.of([physical.relative_speed(motion, joints)]), wrists
 
 
 def _thinned(parts: Sequence[np.ndarray]) -> np.ndarray:

@@ -51,6 +51,8 @@ MEAN_FRAMES = 100_000
 """Frames of recordings that the mean rotations of `LimitsFit` are taken of."""
 MARGIN = np.deg2rad(5.0)
 """Radians by which a joint may exceed its recorded range."""
+FAR = np.deg2rad(30.0)
+"""Radians beyond its limits from which a joint is far beyond them."""
 
 _ORDER = 4
 _DEGREE = 5
@@ -608,8 +610,35 @@ def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
         >>> joint_limit_share(gk.Motion(rig, turns, np.zeros((40, 3)), 30), limits)
         0.25
     """
+    return float(_beyond(motion, limits).mean())
+
+
+def worst_joint(motion: Motion, limits: JointLimits) -> float:
+    """Return the fraction of frames in which one joint is far (`FAR`) beyond the limits, 0 to 1.
+
+    The joint is the one that is so most often: a head that is turned round is one of many joints.
+
+    Raises:
+        MotionError: the motion lacks a joint of the limits.
+
+    Examples:
+        A joint that never turned in the recording is turned by 20° and by 60°:
+
+        >>> rig = gk.Skeleton(("head",), (-1,), [[0, 0, 0]])
+        >>> turns = np.tile([0.0, 0, 0, 1], (40, 1, 1))
+        >>> limits = JointLimits.fit([gk.Motion(rig, turns, np.zeros((40, 3)), 30)], ["head"])
+        >>> for frames, half in ((slice(10), 10), (slice(30, 40), 30)):
+        ...     turns[frames, 0, 2:] = np.sin(np.deg2rad(half)), np.cos(np.deg2rad(half))
+        >>> worst_joint(gk.Motion(rig, turns, np.zeros((40, 3)), 30), limits)
+        0.25
+    """
+    return float(_beyond(motion, limits, FAR).mean(axis=0).max())
+
+
+def _beyond(motion: Motion, limits: JointLimits, margin: float = 0.0) -> np.ndarray:
+    """Return (T, J) True where a joint is beyond its limits by more than a margin, radians."""
     away = _away(_rotations(motion, limits.joints), limits.mean)
-    return float(((away < limits.low) | (away > limits.high)).any(axis=-1).mean())
+    return ((away < limits.low - margin) | (away > limits.high + margin)).any(axis=-1)
 
 
 def _rotations(motion: Motion, joints: Sequence[str]) -> np.ndarray:

@@ -29,7 +29,7 @@ from gesturekit.evaluation.definitions import (
     Definition,
     shown_in,
 )
-from gesturekit.evaluation.measuring.clips import load_clip, load_wave
+from gesturekit.evaluation.measuring.clips import load_clip
 from gesturekit.evaluation.pairs import WINDOW_SECONDS, grouped
 from gesturekit.evaluation.report import text
 from gesturekit.evaluation.report.plots import RECORDING, all_plots, colour
@@ -263,6 +263,6 @@ def _player_data(evaluation: Evaluation, clip: ClipResult, body: str | None) -> 
     wave = None
     if clip.pair.audio is not None:
         start = (clip.pair.window or 0) * WINDOW_SECONDS
-        wave = load_wave(clip.pair.audio).slice(start, min(SECONDS, clip.seconds))
+        wave = clip.pair.audio.load_wave().slice(start, min(SECONDS, clip.seconds))
     colours = {m.label: colour(i) for i, m in enumerate(evaluation.models)}
     return player_data(motions, wave, colours={**colours, "recording": RECORDING}, body=body)

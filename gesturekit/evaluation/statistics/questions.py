@@ -1,7 +1,8 @@
 """Three questions that head a report, answered in one sentence each, and the verdict in words.
 
-The verdict is one line, such as "Half of the speaker's reach, hardly ever at rest, in time with the
-speech." All thresholds are in `thresholds`.
+The verdict is one line, such as "Has half of the speaker's reach, is hardly ever at rest, is
+loosely in time with the speech.": words on the movement, then the first clause of each answer.
+All thresholds are in `thresholds`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from gesturekit.evaluation.statistics.model_metrics import (
     above_chance,
     add_floors,
     least_likeness,
+    level_name,
     level_text,
     on_its_floor,
     reached_floor,
@@ -48,7 +50,7 @@ def answer_questions(models: Sequence[ModelResult]) -> None:
     add_floors(models)
     for model in models:
         model.answers = answers_of(model.clips, model.metrics)
-        model.verdict = verdict(model.metrics)
+        model.verdict = verdict(model.metrics, model.answers)
 
 
 def answers_of(clips: Sequence[ClipResult], metrics: Results) -> list[QuestionAnswer]:
@@ -61,7 +63,7 @@ def answers_of(clips: Sequence[ClipResult], metrics: Results) -> list[QuestionAn
     if broken := defects(metrics):
         why = f"Not asked, as the motion is {broken}."
         return [QuestionAnswer(text, key, NOT_ASKED, why) for key, text in QUESTIONS.items()]
-    found = (_timing(clips, metrics), _likeness(metrics), _novelty(clips, metrics))
+    found = (_timing(clips, metrics), _likeness(clips, metrics), _novelty(clips, metrics))
     return [
         QuestionAnswer(text, key, state, _with_level(sentence, metrics.get(key)))
         for (key, text), (state, sentence) in zip(QUESTIONS.items(), found, strict=True)
@@ -73,9 +75,9 @@ def _with_level(sentence: str, result: MetricResult | None) -> str:
     if result is None or not result.informative:
         return sentence
     if floor := on_its_floor(result):
-        text = f"no higher than its floor, {level_text(floor)}"
-    elif result.ceiling is not None and result.key != "novelty" and _is_above_ceiling(result):
-        text = f"above its ceiling, {level_text(result.ceiling)}"
+        text = f"no higher than its floor, {level_name(floor)}"
+    elif result.ceiling is not None and result.key == "in_time" and _is_above_ceiling(result):
+        text = f"above its ceiling, {level_name(result.ceiling)}"
     else:
         return sentence
     return f"{sentence.removesuffix('.')}; {text}."
@@ -115,51 +117,65 @@ def _ratio(metrics: Results, key: str) -> float:
     return _value(metrics, key) / (_own(metrics, key) or math.nan)
 
 
+_DEFECTS = {
+    "joint_limits": (
+        *(1.0, thresholds.BEYOND_LIMITS),
+        "{:.0f} % of joint rotations are beyond the recordings' range",
+    ),
+    "worst_joint": (
+        *(1.0, thresholds.OUT_OF_JOINT),
+        "one joint is far beyond the recordings' range in {:.0f} % of the frames",
+    ),
+    "feet_above_floor": (2.0, thresholds.FLOATING, "the feet are {:.0f} mm above the floor"),
+    "floor_penetration": (2.0, thresholds.SUNK, "the feet are {:.0f} mm below the floor"),
+    "foot_skate": (2.0, thresholds.SLIDING, "the feet slide at {:.2f} m/s"),
+    "bone_length_change": (2.0, thresholds.STRETCHED, "bones change their length by {:.0f} %"),
+}
+"""Metrics of a broken body: it has more than so many times the recordings' own value and so much;
+the words for it."""
+
+
 def defects(metrics: Results) -> str:
     """Return in words what is broken about a motion, whatever else is measured; "" if nothing.
 
     Rotations that are not so far beyond the recordings' range, in motion that is nowhere near the
     recorded one, may be those of another speaker as well.
     """
-    keys = ("joint_limits", "feet_above_floor", "bone_length_change")
-    beyond, feet, bones = (_value(metrics, key) for key in keys)
-    own_beyond, own_feet, own_bones = (_own(metrics, key) for key in keys)
-    shaken = _ratio(metrics, "jerk_genea")
-    limits = f"{beyond:.0f} % of joint rotations are beyond the recordings' range"
-    rules = [
-        (beyond - own_beyond > thresholds.BEYOND_LIMITS, limits),
-        (feet - 2 * own_feet > thresholds.FLOATING, f"the feet are {feet:.0f} mm above the floor"),
-        (
-            bones - 2 * own_bones > thresholds.STRETCHED,
-            f"bones change their length by {bones:.0f} %",
-        ),
-        (shaken > thresholds.SHAKEN, f"it shakes ({shaken:.0f} times the recordings' jerk)"),
+    found = [
+        words.format(_value(metrics, key))
+        for key, (times, more, words) in _DEFECTS.items()
+        if _value(metrics, key) - times * _own(metrics, key) > more
     ]
-    what = "broken" if any(holds for holds, _ in rules) else "broken, or another speaker's"
+    if (shaken := _ratio(metrics, "jerk_genea")) > thresholds.SHAKEN:
+        found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")
+    if found:
+        return f"broken: {', '.join(found)}"
+    beyond = _value(metrics, "joint_limits")
     alien = _value(metrics, "one_nn") >= thresholds.SEPARABLE > _own(metrics, "one_nn")
-    covered = thresholds.COVERED * _own(metrics, "within_reach")
-    if alien and _value(metrics, "within_reach") < covered:
-        rules[0] = (beyond - own_beyond > thresholds.FAR_BEYOND_LIMITS, limits)
-    found = [text for holds, text in rules if holds]
-    return f"{what}: {', '.join(found)}" if found else ""
+    alien &= _value(metrics, "within_reach") < thresholds.COVERED * _own(metrics, "within_reach")
+    if alien and beyond - _own(metrics, "joint_limits") > thresholds.FAR_BEYOND_LIMITS:
+        words = _DEFECTS["joint_limits"][-1].format(beyond)
+        return f"broken, or another speaker's: {words}"
+    return ""
 
 
 def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     """Return state and sentence of the first answer."""
     result = metrics.get("in_time")
     if result is None or result.recording is None:
-        return "not measured", "Not measured: no speech with arms to move."
+        silent = all(clip.pair.audio is None for clip in clips)
+        what = "no sound is given (--audio)" if silent else "no speech with arms to move"
+        return "not measured", f"Not measured: {what}."
     if not result.informative:  # the model alone is asked: is it above its own chance level?
         if no_room := _no_room(result):
             return _cannot_be_answered(no_room)
-        seconds = sum({c.pair.of: c.seconds for c in clips}.values())
         few = (
-            f"{seconds:.0f} s of speech are too few, or move the speaker's arms too little, to say "
-            "whether as much as the speaker."
+            f"{_seconds(clips):.0f} s of speech are too few, or move the speaker's arms too little"
         )
         if _above_chance(metrics):
-            return "partly", f"In time with the speech more than by chance; {few}"
-        return UNANSWERABLE, f"Not in time with the speech more than by chance; {few}"
+            words = "In time with the speech more than by chance; whether as much as the speaker"
+            return "partly", f"{words} cannot be said: {few}."
+        return _cannot_be_answered(f"{few}.")
     low = result.interval.low
     share = result.interval.value / result.recording
     if low is None:
@@ -170,9 +186,18 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
         return "no", "Not in time with the speech."
     if share < thresholds.IN_TIME:
         return "partly", "Loosely in time with the speech."
+    lag = _value(metrics, "sync_lag") - _own(metrics, "sync_lag")
+    if abs(lag) >= thresholds.LATE:
+        words = f"{abs(lag):.1f} s {'later' if lag > 0.0 else 'earlier'} than the speaker"
+        return "partly", f"In time with the speech, but {words}."
     if share > thresholds.TOO_STRICT:
         return "partly", "In time with the speech, more strictly than the speaker."
     return "yes", "As much in time with the speech as the speaker."
+
+
+def _seconds(clips: Sequence[ClipResult]) -> float:
+    """Return the length of all clips, one of each recording."""
+    return sum({clip.pair.of: clip.seconds for clip in clips}.values())
 
 
 def _above_chance(metrics: Results) -> bool:
@@ -181,7 +206,7 @@ def _above_chance(metrics: Results) -> bool:
     return _value(metrics, "sync_z") >= thresholds.ABOVE_CHANCE if low is None else low > 0.0
 
 
-def _likeness(metrics: Results) -> tuple[str, str]:
+def _likeness(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     result = metrics.get("likeness")
     if result is None:
         return "not measured", (
@@ -190,6 +215,8 @@ def _likeness(metrics: Results) -> tuple[str, str]:
     if not result.informative:
         few = "takes of this speaker are too unlike one another, or too short, to compare with."
         return _cannot_be_answered(_no_room(result) or few)
+    if (seconds := _seconds(clips)) < thresholds.LEAST_SECONDS:
+        return _cannot_be_answered(f"{seconds:.0f} s of motion are too few.")
     value = math.nan if on_its_floor(result) else result.interval.value
     untested = "" if result.tested_against_speaker else "; not tested against another speaker"
     if value >= least_likeness(result.ceiling):
@@ -215,7 +242,7 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
             "the hands hardly move, and what does not move is near to any motion."
         )
     if result is None:
-        splits = {getattr(getattr(c.pair.reference, "item", None), "split", "") for c in clips}
+        splits = {c.pair.reference.split for c in clips}
         text = "the clips are too short, or the rig's arms and legs are not known."
         if splits == {"train"}:
             text = "these are the recordings that the model was trained on; evaluate others."
@@ -227,10 +254,10 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
             "the recordings themselves are the same as training motion, or do not move. Look for "
             "one recording in two splits."
         )
-    copied = [
-        f"the {side} arm"
-        for side, key in ARM_KEYS.items() if _ratio(metrics, key) < thresholds.COPIED
-    ]  # fmt: skip
+    # Arms are also compared with the other one of training: the calmer one is the measure of both.
+    own = min(filter(None, (_own(metrics, key) for key in ARM_KEYS.values())), default=0.0)
+    nearest = {side: _value(metrics, key) for side, key in ARM_KEYS.items()}
+    copied = [f"the {side} arm" for side in nearest if nearest[side] < thresholds.COPIED * own]
     value, share = result.interval.value, 100 * _ratio(metrics, "inter_diversity")
     seeds = "" if math.isnan(share) else (
         f"; two samples of one speech differ {share:.0f} % as much as two recordings do"
@@ -238,10 +265,10 @@ def _novelty(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     if value < thresholds.COPIED:
         return "no", f"Mostly copied from training motion{seeds}."
     if copied:
-        return "no", f"Mostly copied from training motion: {' and '.join(copied)}{seeds}."
+        return "no", f"Mostly copied from training motion in {' and '.join(copied)}{seeds}."
     if value < thresholds.NEAR:
-        text = "Nearer to training motion than other recordings are: partly copied, or less lively"
-        return "no", f"{text}{seeds}."
+        text = "Partly copied from training motion, or less lively than the speaker; nearer to it"
+        return "no", f"{text} than other recordings are{seeds}."
     if _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED:
         return "partly", f"New, but occasionally copied from training motion{seeds}."
     text = "New: as far from training motion as other recordings"
@@ -264,17 +291,25 @@ _RATIO_WORDS = {
 }
 
 
-def verdict(metrics: Results) -> str:
-    """Return a sentence on reach, speed, rests, timing, copying, likeness; "" if nothing is known.
+def verdict(metrics: Results, answers: Sequence[QuestionAnswer]) -> str:
+    """Return a sentence on reach, speed, rests and the answers; "" if nothing is known.
 
     Args:
-        metrics: results of a model by key of `definitions`, each with the recording's value.
+        metrics: results of a model by key of `definitions`, each with the recordings' value.
+        answers: those of `answers_of`; that a motion is new is no praise, since odd motion is too.
     """
     if _value(metrics, "near_still") >= thresholds.MOTIONLESS:
         return "The hands hardly move."
     if broken := defects(metrics):
         return f"The motion is {broken}."
-    text = ", ".join((*_movement_words(metrics), *_timing_words(metrics), *_origin_words(metrics)))
+    words = [*_movement_words(metrics)]
+    for answer in answers:
+        is_praise = answer.state == "yes" and answer.key != "novelty"
+        if is_praise or answer.state in ("partly", "no"):
+            clause = answer.sentence.partition(";")[0].removesuffix(".")
+            verb = "" if answer.key == "likeness" else "is "
+            words.append(f"{verb}{clause[0].lower()}{clause[1:]}")
+    text = ", ".join(words)
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
@@ -314,7 +349,7 @@ def in_words(ratio: float) -> str:
 
 
 def _movement_words(metrics: Results) -> Iterator[str]:
-    """Yield words on reach, speed and rests."""
+    """Yield words on reach, speed, rests, and calm and lively stretches."""
     low, high = thresholds.ALIKE
     for key, before, after in (
         ("reach", "has ", "the speaker's reach"),
@@ -333,45 +368,6 @@ def _movement_words(metrics: Results) -> Iterator[str]:
             "is at rest as much of the time as the speaker",
             "is at rest more of the time than the speaker",
         )[bisect_right(limits, _ratio(metrics, "rest"))]
-
-
-def _timing_words(metrics: Results) -> Iterator[str]:
-    """Yield words on calm and lively stretches, and on the time of movements."""
-    calm, sync = metrics.get("calm_lively_r"), metrics.get("sync")
+    calm = metrics.get("calm_lively_r")
     if calm is not None and calm.informative and calm.interval.value < thresholds.FOLLOWS:
         yield "is calm and lively at other times than the speaker"
-    if sync is None or sync.recording is None:
-        return
-    chance = max((v for v in (sync.mismatched, sync.chance) if v is not None), default=0.0)
-    own = sync.recording - chance
-    if own < thresholds.LEAST_SYNC or not sync.informative:
-        if _above_chance(metrics):
-            yield "is in time with the speech more than by chance"
-    else:
-        limits = (thresholds.LOOSELY_IN_TIME, thresholds.IN_TIME)
-        share = (sync.interval.value - chance) / own
-        yield (
-            "is not in time with the speech",
-            "is loosely in time with the speech",
-            "is in time with the speech",
-        )[bisect_right(limits, share)]
-
-
-def _origin_words(metrics: Results) -> Iterator[str]:
-    """Yield words on copies of recordings and on the likeness to the speaker."""
-    median = _ratio(metrics, "copying")
-    is_small = _ratio(metrics, "reach") < thresholds.ALIKE[0]  # and therefore near to any motion
-    if median < thresholds.COPIED:
-        yield "is mostly copied from recordings"
-    elif median < thresholds.NEAR and not is_small:
-        yield "is partly copied from recordings"
-    elif _ratio(metrics, "copying_low") < thresholds.OCCASIONALLY_COPIED and not is_small:
-        yield "is occasionally copied from recordings"
-    state, _ = _likeness(metrics)
-    words = {
-        "yes": "moves like the speaker",
-        "partly": "moves only somewhat like the speaker",
-        "no": "does not move like the speaker",
-    }
-    if state in words:
-        yield words[state]

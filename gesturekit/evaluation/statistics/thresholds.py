@@ -8,10 +8,10 @@ from __future__ import annotations
 ABOVE_CHANCE = 3.0
 """Standard errors that a value is above its chance level, at least: of the recordings, for a metric
 of speech to be informative; of a model with too few takes for an interval."""
-LEAST_SYNC = 0.1
-"""Recordings with less sync above chance than this do not move with their speech."""
 IN_TIME, LOOSELY_IN_TIME, TOO_STRICT = 0.7, 0.3, 1.3
 """Shares of sync above chance: in time with the speech, loosely in time, more than the speaker."""
+LATE = 0.2
+"""Difference of the lag of sync from the speaker's own, seconds, from which it is named."""
 
 BEYOND_LIMITS = 45.0
 """Percentage of rotations beyond the recordings' range, more than the recordings have themselves,
@@ -19,9 +19,13 @@ from which a body is broken. Another speaker, retargeted, has up to 30."""
 FAR_BEYOND_LIMITS, COVERED, SEPARABLE = 20.0, 0.05, 0.98
 """The same where a motion also covers less than this share of the recordings' own "within reach",
 and its 1-NN accuracy is at least this: broken, or of another speaker."""
-FLOATING, STRETCHED = 150.0, 5.0
-"""Millimetres that the feet float, and percentage by which a bone changes its length, above twice
-those of the recordings, from which a body is broken. Takes of SHOW stand up to 8 cm apart."""
+OUT_OF_JOINT = 50.0
+"""Percentage of frames in which one joint is far (30°) beyond the recordings' range, from which a
+body is broken. Other takes of a speaker have up to 3, those of other speakers of SHOW 4."""
+FLOATING, SUNK, SLIDING, STRETCHED = 150.0, 100.0, 0.3, 5.0
+"""Millimetres that the feet are above the floor or below it, their speed on it in m/s, and the
+percentage by which a bone changes its length, above twice those of the recordings, from which a
+body is broken. Takes of SHOW stand up to 8 cm apart."""
 SHAKEN = 5.0
 """Ratio of unfiltered jerk to the recordings' from which a body shakes."""
 
@@ -36,6 +40,9 @@ LEAST_CREDIT = 0.05
 """Credit that an aspect counts at least, in a geometric mean."""
 LEAST_OWN = 0.2
 """Score of the speaker's own takes below which likeness to them cannot be asked for."""
+LEAST_SECONDS = 15.0
+"""Seconds of a model's clips below which likeness cannot be asked for: of 10 s, a statue was about
+as like the speaker as another take was."""
 LIKE_SPREADS, LEAST_LIKE, LEAST_PARTLY_LIKE = 1.64, 0.7, 0.6
 """Likeness for yes: that of other takes of the speaker less this many of its standard deviations
 (1 in 20 takes is below), and this value at least; for partly, at least."""
