@@ -229,8 +229,6 @@ def restored(kind: Any, values: Any) -> Any:
         return values
     if isinstance(kind, UnionType):
         return restored(kinds[0], values)
-    if hasattr(kind, "from_json"):
-        return kind.from_json(values)
     if isinstance(kind, type) and is_dataclass(kind):
         return kind(**{name: restored(_hints(kind)[name], v) for name, v in values.items()})
     if kind is np.ndarray:

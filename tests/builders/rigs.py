@@ -6,7 +6,11 @@ from typing import Any
 import numpy as np
 
 from gesturekit.motion import Motion, Skeleton
-from gesturekit.motion.rotations import multiply_quaternions
+from gesturekit.motion.rotations import (
+    invert_quaternions,
+    multiply_quaternions,
+    rotate_vectors,
+)
 
 Bones = dict[str, tuple[str | None, tuple[float, float, float]]]
 """Joint: its parent, and its offset in metres."""
@@ -82,6 +86,18 @@ def turned_at_root(motion: Motion, turn: np.ndarray) -> Motion:
     rotations = motion.rotations.copy()
     rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
     return replace(motion, rotations=rotations)
+
+
+def with_rest_turned(motion: Motion, turn: np.ndarray, *joints: str) -> Motion:
+    """Return the same movement on a rig whose joints are turned at rest, with all below them."""
+    rig, back = motion.skeleton, invert_quaternions(turn)
+    rotations, offsets = motion.rotations.copy(), rig.offsets.copy()
+    for joint in map(rig.index, joints):
+        rotations[:, joint] = multiply_quaternions(rotations[:, joint], turn)
+        below = [j for j, parent in enumerate(rig.parents) if parent == joint]
+        rotations[:, below] = multiply_quaternions(back, rotations[:, below])
+        offsets[below] = rotate_vectors(back, offsets[below])
+    return replace(motion, skeleton=replace(rig, offsets=offsets), rotations=rotations)
 
 
 def below_a_root(rig: Skeleton, height: float, name: str = "Reference") -> Skeleton:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import without_joints
+from rigs import with_rest_turned, without_joints
 
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate
@@ -63,6 +63,18 @@ def test_a_body_of_the_same_size_with_other_arms_is_retargeted_to_the_recordings
     other = Skeleton(rig.names, rig.parents, offsets, rig.end_sites)
     made = saved(tmp_path / "m", {name: replace(m, skeleton=other) for name, m in own.items()})
     assert "retargeted" in evaluate(made, recordings, cheap=True).models[0].marks
+
+
+def test_the_recordings_in_another_rest_pose_move_as_the_recordings(recordings, tmp_path):
+    own = {path.stem: Motion.load(path) for path in sorted(recordings.glob("*.bvh"))}
+    quarter = np.array([0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)])
+    raised = {k: with_rest_turned(m, quarter, "LeftArm", "RightArm") for k, m in own.items()}
+    made = saved(tmp_path / "raised", raised)
+    found = evaluate({"same": recordings, "raised": made}, recordings, cheap=True)
+    assert "retargeted" in found.models[1].marks
+    for key in ("wrist_speed", "reach", "one_nn"):
+        assert result(found, 1, key) == pytest.approx(result(found, 0, key), rel=0.01), key
+    assert result(found, 1, "worst_joint") == 0.0
 
 
 def test_a_rate_that_differs_by_a_rounding_is_not_resampled(recordings, tmp_path):

@@ -117,6 +117,7 @@ SIGNS = {
     "feet_above_floor": "00?0?",
     "bone_length_change": "00000",
     "joint_limits": "00+00",
+    "worst_joint": "00000",
     "l1_diversity": "00+0-",
     "intra_diversity": "?0+?-",
     "hellinger": "+0+?+",

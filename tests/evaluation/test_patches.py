@@ -195,6 +195,7 @@ OK = np.random.default_rng(5).normal(size=(40, 3))
         (lambda: global_diversity(OK[:20], OK), r"(?=.*\b30\b).*\b20\b"),
         (lambda: coverage(np.ones((10**5, 1)), np.ones((10**5, 1))), r"\b80(\.0)? GB"),
         (lambda: inter_diversity([OK]), r"(?=.*1 sample).*\b2\b"),
+        (lambda: intra_diversity([]), r"0 samples.*\b1\b"),
         (lambda: inter_diversity([OK, OK[:9]], variant="aligned"), r"(?=.*\b9\b).*\b40\b"),
     ],
 )

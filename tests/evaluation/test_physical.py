@@ -156,15 +156,19 @@ def test_limits_are_of_each_joint_and_axis_and_5_degrees_wider(skeleton):
     # From the mean of 3 degrees.
     assert np.degrees(lopsided.high)[:, 1] == pytest.approx([10, 8], abs=0.01)
     assert np.degrees(lopsided.low)[:, 1] == pytest.approx([-8, -10], abs=0.01)
-    hand = lopsided.of_joints(["LeftHand"])
-    assert hand.joints == ("LeftHand",) and np.array_equal(hand.high, lopsided.high[1:])
-    assert np.array_equal(hand.low, lopsided.low[1:])
-    assert np.array_equal(hand.mean, lopsided.mean[1:])
     # Beyond one axis is beyond; at the limit is not.
     for turn, share in (((14, 24, 0), 0), ((0, 26, 0), 1), ((-16, 0, 0), 1), ((0, 0, 0), 0)):
         assert joint_limit_share(nodding([turn], skeleton), limits) == share
     exact = JointLimits(("Head",), np.array([[0.0, 0, 0, 1]]), np.zeros((1, 3)), np.zeros((1, 3)))
     assert joint_limit_share(nodding([(0, 0, 0)], skeleton), exact) == 0.0
+
+
+def test_limits_widen_by_recordings_after_those_of_the_mean(skeleton, monkeypatch):
+    monkeypatch.setattr("gesturekit.evaluation.metrics.physical.MEAN_FRAMES", 3)
+    still, turned = (nodding([(0, angle, 0)] * 4, skeleton) for angle in (0, 20))
+    limits = JointLimits.fit(iter([still, turned, still]), ("Head",))
+    assert np.degrees(limits.high) == pytest.approx(np.array([[5, 25, 5]]), abs=1e-6)
+    assert np.degrees(limits.low) == pytest.approx(np.array([[-5, -5, -5]]), abs=1e-6)
 
 
 def test_the_standing_height_is_the_median_while_standing(standing):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hinges import bent_backwards
 from recordings import BANDAI, RECORDED, ZEGGS
-from rigs import at_rest, below_a_root, renamed, with_offsets
+from rigs import at_rest, below_a_root, renamed, with_offsets, with_rest_turned
 from scipy.spatial.transform import Rotation
 
 from gesturekit.errors import MotionError
@@ -63,6 +63,15 @@ def test_onto_itself_is_the_identity(shared_data, file):
     same = retarget(motion, motion.skeleton)
     assert np.abs(same.positions() - motion.positions()).max() < 1e-6
     assert rotation_angles(same.rotations, motion.rotations).max() < 0.01
+
+
+def test_the_same_joints_in_another_rest_pose_are_another_rig(moving_person):
+    """At rest one arm points up and one down; sizes of a performer are no other rest pose."""
+    quarter = np.array([0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)])
+    raised = with_rest_turned(moving_person, quarter, "LeftArm", "RightArm")
+    np.testing.assert_allclose(raised.positions(), moving_person.positions(), atol=1e-9)
+    back = retarget(raised, moving_person.skeleton)
+    np.testing.assert_allclose(back.positions(), moving_person.positions(), atol=1e-3)
 
 
 def test_size_scales_steps_and_heights(moving_person):

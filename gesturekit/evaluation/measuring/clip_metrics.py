@@ -26,6 +26,7 @@ from gesturekit.evaluation.definitions import (
     definitions_of,
 )
 from gesturekit.evaluation.measuring.clips import (
+    RETARGETED,
     Clip,
     RecordedSound,
     load_recording,
@@ -34,12 +35,12 @@ from gesturekit.evaluation.measuring.clips import (
 from gesturekit.evaluation.metrics import rhythm
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.mouth import mouth_opening
-from gesturekit.evaluation.metrics.physical import JointLimits, LimitsFit, standing_heights
+from gesturekit.evaluation.metrics.physical import JointLimits, standing_heights
 from gesturekit.evaluation.metrics.sync import hardly_moves
 from gesturekit.evaluation.pairs import BareItem, Excluded, Pair, grouped
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points
-from gesturekit.motion.parts import body_joints
+from gesturekit.motion.parts import body_joints, find_parts
 
 
 @dataclass
@@ -99,7 +100,7 @@ class ReferenceStatistics:
     @classmethod
     def of(cls, recordings: Mapping[str, Item], fps: float) -> ReferenceStatistics:
         """Compute the statistics of recordings; leave out rigs that differ from the first one."""
-        found, limits, joints = cls(), LimitsFit(), tuple[str, ...]()
+        found, joints = cls(), tuple[str, ...]()
         sums, n_frames = np.zeros(1), 0
         roots: set[str] = set()  # they turn with the whole body
         for key, item in recordings.items():
@@ -114,13 +115,13 @@ class ReferenceStatistics:
                 continue
             found.recordings.append(key)
             roots |= {motion.skeleton.names[0], *motion.joint_translations}
-            limits.add(motion, joints)
             sums = sums + [column.sum() for column in speed.T]
             n_frames += len(speed)
         if found.recordings:
             found.mean_speed = dict(zip(joints, (sums / n_frames).tolist()))
             if turning := [name for name in joints if name not in roots]:
-                found.limits = limits.result().of_joints(turning)
+                motions = (load_recording(recordings[key], fps) for key in found.recordings)
+                found.limits = JointLimits.fit(motions, turning)
         return found
 
 
@@ -159,6 +160,15 @@ class ClipInputs:
     def frame_rate(self) -> float | None:
         """Frames per second, for the variant of beat alignment that counts frames."""
         return self.motion.fps if self.variants.bas == "bailando" else None
+
+    @property
+    def limits(self) -> JointLimits | None:
+        """Limits of the joints; of a retargeted motion without wrists, whose twist is a guess."""
+        limits = self.statistics.limits
+        if limits is None or RETARGETED not in self.clip.notes:
+            return limits
+        wrists = {arm.wrist for arm in find_parts(self.clip.recording.skeleton).arms.values()}
+        return limits.of_joints([name for name in limits.joints if name not in wrists])
 
     @functools.cached_property
     def heights(self) -> np.ndarray:

@@ -94,7 +94,7 @@ class Clip:
 
     @functools.cached_property
     def same_body(self) -> bool:
-        """True if the bone lengths of both bodies agree to 1 %."""
+        """True if the bones of both bodies agree to 1 %."""
         return _same_bones(self.generated, self.recording, self.joints, 0.01, 1e-3)
 
 
@@ -139,9 +139,9 @@ def matched(motion: Motion, recording: Motion) -> tuple[tuple[str, ...], Motion,
     """Return a generated motion on the rig of its recording.
 
     The legs of the recording are not compared with a motion that has none. A rig with joints of the
-    same names (in any case, in any name space) and bones of the same
-    lengths is cut to the common joints. Any other is retargeted or, where its body parts cannot be
-    identified, compared by name.
+    same names (in any case, in any name space) and the same bones in the same rest pose is cut to
+    the common joints. Any other is retargeted or, where its body parts cannot be identified,
+    compared by name.
 
     Returns:
         the common body joints, in the recording's order; the motion with the recording's joint
@@ -207,12 +207,14 @@ def _renamed(motion: Motion, renamed: dict[str, str]) -> Motion:
 def _same_bones(
     motion: Motion, recording: Motion, joints: tuple[str, ...], within: float, rounding: float
 ) -> bool:
-    """Return whether distances between neighbours among common joints agree, at rest.
+    """Return whether bones between common joints are the same at rest, in length and direction.
+
+    In another rest pose, the same rotations are other postures.
 
     Args:
         motion, recording: two motions.
         joints: names of common joints.
-        within: largest relative difference.
+        within: largest difference as a share of the length of a bone.
         rounding: difference on the reference body that is always allowed, metres.
     """
     one, other = motion.skeleton, recording.skeleton
@@ -224,13 +226,14 @@ def _same_bones(
         if above is not None and other.names[j] not in moving:
             pairs.append((other.names[above], other.names[j]))
 
-    def lengths(rig: Skeleton) -> np.ndarray:
+    def bones(rig: Skeleton) -> np.ndarray:
         ends = np.array([[rig.index(name) for name in pair] for pair in pairs], int).reshape(-1, 2)
-        bones = rig.rest_positions[ends]
-        return np.linalg.norm(bones[:, 1] - bones[:, 0], axis=-1)
+        places = rig.rest_positions[ends]
+        return places[:, 1] - places[:, 0]
 
-    atol = rounding * body_scale(other)
-    return bool(np.allclose(lengths(one), lengths(other), rtol=within, atol=atol))
+    own, wanted = bones(one), bones(other)
+    allowed = within * np.linalg.norm(wanted, axis=-1) + rounding * body_scale(other)
+    return bool((np.linalg.norm(own - wanted, axis=-1) <= allowed).all())
 
 
 def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:

@@ -394,8 +394,10 @@ class LikenessMeasurer:
                 loaded.append((clip, load_clip(clip.pair, self.fps, self.without)))
         if not loaded:
             return None
-        try:
-            upper = upper_joints(loaded[0][1].recording.skeleton)
+        first = loaded[0][1]
+        try:  # without known arms nothing is measured that could be compared
+            upper = upper_joints(first.recording.skeleton)
+            upper_joints(first.generated.skeleton)
         except MotionError:
             return None
         joints = tuple(n for n in upper if all(n in motion.joints for _, motion in loaded))

@@ -253,15 +253,12 @@ def inter_diversity(
         (0.0, 3.0)
     """
     check_choice("variant", variant, ("nearest", "aligned"))
-    arrays = _samples(samples)
+    arrays = _samples(samples, least=2)
     lengths = sorted({len(array) for array in arrays})
-    refuse(
-        (len(arrays) < 2, f"{counted(len(arrays), 'sample')}; at least 2 are needed"),
-        (
-            variant == "aligned" and len(lengths) > 1,
-            f"samples of {lengths[0]} to {lengths[-1]} frames; variant aligned needs one length",
-        ),
-    )
+    if variant == "aligned" and len(lengths) > 1:
+        raise EvaluationError(
+            f"samples of {lengths[0]} to {lengths[-1]} frames; variant aligned needs one length"
+        )
     pairs = [(arrays[i], arrays[i - 1]) for i in range(len(arrays))]
     if variant == "nearest":
         return float(np.mean([local_diversity(a, b, window) for a, b in pairs]))
@@ -290,7 +287,7 @@ def intra_diversity(samples: np.ndarray | Sequence[np.ndarray], window: int = 15
     """
     values = []
     is_one = isinstance(samples, np.ndarray) and samples.ndim == 2
-    for frames in _samples([np.asarray(samples)] if is_one else list(samples)):
+    for frames in _samples([np.asarray(samples)] if is_one else list(samples), least=1):
         _check_length("window", window, len(frames) - 1)
         apart = np.sqrt(window_sums(frame_distances(frames, frames, squared=True), window))
         values.append(apart[:-1, :-1].mean() / window)
@@ -398,5 +395,6 @@ def _check_length(name: str, value: int, most: int) -> None:
         )
 
 
-def _samples(samples: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _samples(samples: Sequence[np.ndarray], least: int) -> list[np.ndarray]:
+    refuse((len(samples) < least, f"{counted(len(samples), 'sample')}; at least {least} needed"))
     return checked_rows({f"sample {i}": sample for i, sample in enumerate(samples)})

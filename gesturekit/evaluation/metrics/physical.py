@@ -17,9 +17,9 @@ joint's mean rotation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import chain
 
 import numpy as np
 
@@ -40,15 +40,13 @@ from gesturekit.motion.rotations import (
 
 CUTOFF = 6.0
 """Hz; the -6 dB frequency of the low-pass, above the frequencies of gestures."""
-HARDLY_MOVING = 0.05
-"""Below this fraction of the recording's arm speed, sync is not informative."""
 BINS = np.linspace(0.0, 0.49, 50)
 """Edges of GENEA's histogram bins, m/s on the reference body."""
 NEAR = 0.025
 """H of Zhang et al. 2018: height above standing from which a foot point is in the air, metres on
 the reference body."""
 MEAN_FRAMES = 100_000
-"""Frames of recordings that the mean rotations of `LimitsFit` are taken of."""
+"""Frames of recordings that the mean rotations of `JointLimits` are taken of."""
 MARGIN = np.deg2rad(5.0)
 """Radians by which a joint may exceed its recorded range."""
 FAR = np.deg2rad(30.0)
@@ -150,15 +148,6 @@ class SpeedHistogram:
 
     counts: np.ndarray = field(default_factory=lambda: np.zeros(len(BINS) - 1, dtype=np.int64))
     beyond: int = 0
-
-    def to_json(self) -> dict[str, int | list[int]]:
-        """Return plain values."""
-        return {"counts": self.counts.tolist(), "beyond": self.beyond}
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> SpeedHistogram:
-        """Return the histogram that `to_json` described."""
-        return cls(np.array(values["counts"], dtype=np.int64), int(values["beyond"]))
 
     @classmethod
     def of(cls, speeds: Iterable[np.ndarray]) -> SpeedHistogram:
@@ -525,7 +514,10 @@ class JointLimits:
 
     @classmethod
     def fit(cls, motions: Iterable[Motion], joints: Sequence[str]) -> JointLimits:
-        """Learn the limits from recordings of one rig.
+        """Learn the limits from recordings of one rig, in bounded memory.
+
+        The limits are exact; the mean rotations, from which they are measured, are those of the
+        first `MEAN_FRAMES` frames (and the rest of their recording).
 
         Args:
             motions: recordings; iterated once.
@@ -534,64 +526,21 @@ class JointLimits:
         Raises:
             MotionError: no motions, or a joint that one of them lacks.
         """
-        fit = LimitsFit()
-        for motion in motions:
-            fit.add(motion, joints)
-        return fit.result()
-
-    def of_joints(self, names: Sequence[str]) -> JointLimits:
-        """Return the limits of some of the joints."""
-        kept = [self.joints.index(name) for name in names]
-        return JointLimits(tuple(names), self.mean[kept], self.low[kept], self.high[kept])
-
-
-class LimitsFit:
-    """Learns `JointLimits` from one recording after another, in bounded memory.
-
-    The limits are exact; the mean rotation, from which they are measured, is that of the first
-    `MEAN_FRAMES` frames (and the rest of their recording).
-    """
-
-    def __init__(self) -> None:
-        self._joints: tuple[str, ...] = ()
-        self._waiting: list[np.ndarray] = []
-        self._mean: np.ndarray | None = None
-        self._low, self._high = np.inf, -np.inf
-
-    def add(self, motion: Motion, joints: Sequence[str]) -> None:
-        """Add a recording; `joints` are the same for all.
-
-        Raises:
-            MotionError: the recording lacks a joint.
-        """
-        self._joints = tuple(joints)
-        self._waiting.append(_rotations(motion, joints))
-        if self._mean is not None or sum(map(len, self._waiting)) > MEAN_FRAMES:
-            self._measure()
-
-    def result(self) -> JointLimits:
-        """Return the limits.
-
-        Raises:
-            MotionError: no recording was added.
-        """
-        if self._waiting:
-            self._measure()
-        if self._mean is None:
+        rotations, first = (_rotations(motion, joints) for motion in motions), list[np.ndarray]()
+        for part in rotations:
+            first.append(part)
+            if sum(map(len, first)) > MEAN_FRAMES:
+                break
+        if not first:
             raise MotionError("no recording to learn joint limits from")
-        return JointLimits(self._joints, self._mean, self._low - MARGIN, self._high + MARGIN)
-
-    def _measure(self) -> None:
-        """Widen the limits to the rotations that wait."""
-        if self._mean is None:
-            stacked = np.concatenate(self._waiting)
-            columns = range(stacked.shape[1])
-            self._mean = np.stack([mean_quaternion(stacked[:, j]) for j in columns])
-        for rotations in self._waiting:
-            away = _away(rotations, self._mean)
-            self._low = np.minimum(self._low, away.min(axis=0))
-            self._high = np.maximum(self._high, away.max(axis=0))
-        self._waiting.clear()
+        columns = np.concatenate(first).swapaxes(0, 1)
+        mean = np.stack([mean_quaternion(column) for column in columns])
+        low, high = np.inf, -np.inf
+        for part in chain(first, rotations):
+            away = _away(part, mean)
+            low = np.minimum(low, away.min(axis=0))
+            high = np.maximum(high, away.max(axis=0))
+        return cls(tuple(joints), mean, low - MARGIN, high + MARGIN)
 
 
 def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
@@ -638,7 +587,7 @@ def worst_joint(motion: Motion, limits: JointLimits) -> float:
 def _beyond(motion: Motion, limits: JointLimits, margin: float = 0.0) -> np.ndarray:
     """Return (T, J) True where a joint is beyond its limits by more than a margin, radians."""
     away = _away(_rotations(motion, limits.joints), limits.mean)
-    return ((away < limits.low - margin) | (away > limits.high + margin)).any(axis=-1)
+    return np.maximum(limits.low - away, away - limits.high).max(axis=-1) > margin
 
 
 def _rotations(motion: Motion, joints: Sequence[str]) -> np.ndarray:

@@ -16,7 +16,7 @@ from audio_features import Wave
 from audio_features.acoustic import import_librosa
 from gesturekit.evaluation.metrics.hands import upper_joints
 from gesturekit.evaluation.metrics.inputs import check_choice, check_frames
-from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths, joint_speed
+from gesturekit.evaluation.metrics.physical import CUTOFF, derivative, joint_paths
 from gesturekit.evaluation.metrics.sync import MIN_SHIFT, against_chance
 from gesturekit.motion import Motion
 from gesturekit.motion.parts.body_size import body_scale
@@ -233,16 +233,13 @@ def motion_beats(
     from scipy.signal import argrelextrema
 
     check_choice("beat alignment variant", variant, ("seconds", "bailando"))
-    sigma: float
-    if variant == "bailando":
-        speed, sigma = joint_speed(motion, joints), SMOOTHING_FRAMES
-    else:
-        velocity = derivative(joint_paths(motion, joints), motion.fps, 1, CUTOFF)
-        speed, sigma = np.linalg.norm(velocity, axis=-1), SMOOTHING * motion.fps
-    smooth = gaussian_filter1d(speed.mean(axis=1), sigma)
+    is_published = variant == "bailando"
+    cutoff, sigma = (None, SMOOTHING_FRAMES) if is_published else (CUTOFF, SMOOTHING * motion.fps)
+    velocity = derivative(joint_paths(motion, joints), motion.fps, 1, cutoff)
+    smooth = gaussian_filter1d(np.linalg.norm(velocity, axis=-1).mean(axis=1), sigma)
     if np.ptp(smooth) < _STILL * body_scale(motion.skeleton):
         return np.empty(0)
-    if variant == "bailando":
+    if is_published:
         return argrelextrema(smooth, np.less)[0] / motion.fps
     return _minima(smooth, 1)[1] / motion.fps
 

@@ -15,9 +15,10 @@ import numpy as np
 from audio_features import Wave
 from gesturekit.corpus.alignment import arm_speed, smoothed, speech_envelope
 from gesturekit.errors import EvaluationError, GestureKitError, MotionError
-from gesturekit.evaluation.metrics.physical import HARDLY_MOVING
 from gesturekit.motion import Motion
 
+HARDLY_MOVING = 0.05
+"""Below this fraction of the recording's arm speed, sync is not informative."""
 MIN_SHIFT = 1.0  # seconds; smaller circular shifts are not chance alignments
 
 # Larger than rounding in files.

@@ -20,6 +20,7 @@ from gesturekit.evaluation.statistics.thresholds import (
     ABOVE_CHANCE,
     ENOUGH_SECONDS,
     LEAST_LIKE,
+    LEAST_SECONDS,
     LIKE_SPREADS,
     SAME,
     SATURATED,
@@ -245,10 +246,16 @@ def by_take(clips: Sequence[ClipResult], key: str, *, generated: bool = False) -
     return Takes.of([pair for pair, _ in known]).means([value for _, value in known])
 
 
+def seconds_of(clips: Sequence[ClipResult]) -> float:
+    """Return the length of clips, one of each recording."""
+    return sum({clip.pair.of: clip.seconds for clip in clips}.values())
+
+
 def add_floors(models: Sequence[ModelResult]) -> None:
     """Add the timing of models that ignore the speech to the floors of the other models.
 
-    Timing and likeness whose ceiling is no higher than a floor are marked as not informative.
+    Timing and likeness whose ceiling is no higher than a floor are marked as not informative, and
+    so is likeness from few seconds.
     """
     blind = {
         model.label: level_of(model.label, by_take(model.clips, "in_time", generated=True))
@@ -262,4 +269,5 @@ def add_floors(models: Sequence[ModelResult]) -> None:
                 others = [floor for label, floor in blind.items() if label != model.label]
                 result = replace(result, floors=(*result.floors, *others))
             known = result.informative and reached_floor(result) is None
+            known &= key == "in_time" or seconds_of(model.clips) >= LEAST_SECONDS
             model.metrics[key] = replace(result, informative=known)

@@ -32,6 +32,7 @@ from gesturekit.evaluation.statistics.model_metrics import (
     level_text,
     on_its_floor,
     reached_floor,
+    seconds_of,
 )
 from gesturekit.wording import listed
 
@@ -169,9 +170,8 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     if not result.informative:  # the model alone is asked: is it above its own chance level?
         if no_room := _no_room(result):
             return _cannot_be_answered(no_room)
-        few = (
-            f"{_seconds(clips):.0f} s of speech are too few, or move the speaker's arms too little"
-        )
+        seconds = f"{seconds_of(clips):.0f} s of speech"
+        few = f"{seconds} are too few, or move the speaker's arms too little"
         if _above_chance(metrics):
             words = "In time with the speech more than by chance; whether as much as the speaker"
             return "partly", f"{words} cannot be said: {few}."
@@ -195,11 +195,6 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     return "yes", "As much in time with the speech as the speaker."
 
 
-def _seconds(clips: Sequence[ClipResult]) -> float:
-    """Return the length of all clips, one of each recording."""
-    return sum({clip.pair.of: clip.seconds for clip in clips}.values())
-
-
 def _above_chance(metrics: Results) -> bool:
     """Return whether a model's own sync is above its chance level."""
     low = metrics["in_time"].interval.low if "in_time" in metrics else -math.inf
@@ -212,11 +207,11 @@ def _likeness(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
         return "not measured", (
             "Not measured: no body parts to compare, or fewer than three clips of the speaker."
         )
+    if (seconds := seconds_of(clips)) < thresholds.LEAST_SECONDS:
+        return _cannot_be_answered(f"{seconds:.0f} s of motion are too few.")
     if not result.informative:
         few = "takes of this speaker are too unlike one another, or too short, to compare with."
         return _cannot_be_answered(_no_room(result) or few)
-    if (seconds := _seconds(clips)) < thresholds.LEAST_SECONDS:
-        return _cannot_be_answered(f"{seconds:.0f} s of motion are too few.")
     value = math.nan if on_its_floor(result) else result.interval.value
     untested = "" if result.tested_against_speaker else "; not tested against another speaker"
     if value >= least_likeness(result.ceiling):

@@ -53,6 +53,9 @@ from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rota
 
 _FLOOR_MARKER = 0.25
 """Share of the leg length; a root farther from the pelvis is a marker on the floor."""
+_SHORT, _ALIKE = 0.03, np.cos(np.deg2rad(30.0))
+"""Bones of one rest pose are at an angle of less than 30°, but for those shorter than 3 cm on the
+reference body: performers differ."""
 _FEWEST_STANDING = 5
 """Frames in which a foot must stand for its height to be measured."""
 
@@ -161,7 +164,7 @@ class Transfer:
     def __call__(self, motion: Motion) -> Motion:
         """Return the motion on the target rig; errors as for `retarget`."""
         skeleton, rig = self._skeleton, motion.skeleton
-        same = (skeleton.names, skeleton.parents) == (rig.names, rig.parents)
+        same = _is_one_rig(skeleton, rig)
         source = self._source or BodyFrames(rig, standing_pose(motion))
         places, turns = motion.positions(), motion.global_rotations()
         feet = _foot_motion(motion, source, places, turns) if source.parts.legs else None
@@ -314,6 +317,17 @@ class Transfer:
                 stands = np.median(body[:, 1] - positions[:, ends, 1].min(axis=1))
                 self._lift = float(stands - np.median(path[:, 1]))
         return path + [0.0, self._lift, 0.0] - body
+
+
+def _is_one_rig(one: Skeleton, other: Skeleton) -> bool:
+    """Return whether two rigs have the same joints and rest pose, whatever their sizes."""
+    if (one.names, one.parents) != (other.names, other.parents):
+        return False
+    bones = one.offsets[1:], other.offsets[1:]
+    lengths = np.array([np.linalg.norm(rig, axis=1) for rig in bones])
+    is_long = (lengths > _SHORT * np.array([[body_scale(one)], [body_scale(other)]])).all(axis=0)
+    cosines = np.sum(bones[0] * bones[1], axis=1) / np.maximum(np.prod(lengths, axis=0), 1e-12)
+    return bool((cosines > _ALIKE)[is_long].all())
 
 
 def _world_rotations(

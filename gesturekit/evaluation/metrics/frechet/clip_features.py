@@ -28,7 +28,7 @@ from gesturekit.evaluation.metrics.inputs import (
     check_joints,
     motion_name,
 )
-from gesturekit.evaluation.metrics.physical import wrist_positions
+from gesturekit.evaluation.metrics.physical import joint_paths, wrist_positions
 from gesturekit.motion import Motion
 from gesturekit.motion.contacts import foot_points, foot_positions
 from gesturekit.motion.parts import SIDES, body_joints, find_parts
@@ -110,8 +110,7 @@ def kinetic_features(
     check_choice("kinetic variant", variant, _VARIANTS)
     motion = at_rate(motion, FPS)
     check_frames(motion, 4, FPS)
-    names = body_joints(motion.skeleton) if joints is None else joints
-    positions = motion.positions()[:, [motion.skeleton.index(name) for name in names]]
+    positions = joint_paths(motion, joints)
     fps, turns = FPS, np.diff(positions, n=2, axis=0)
     if variant == "released":
         fps, here = _RELEASED_FPS, (positions - positions[0, 0])[1:-1]

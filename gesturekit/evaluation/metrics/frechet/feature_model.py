@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +29,7 @@ from torch.nn import functional as F
 
 from audio_features import AudioFeaturesError
 from audio_features.atomic import write_tensors
-from audio_features.weight_files import plain_tensors, read_file
+from audio_features.weight_files import add_tensors, plain_tensors, read_file
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation.metrics.frechet.poses import PoseWindows
 from gesturekit.evaluation.metrics.inputs import at_rate, motion_name
@@ -51,21 +52,12 @@ _FPS = 30.0
 _FRAMES = 32  # a multiple of which BEAT2's evaluation encodes
 _JOINTS = 55
 _GROUPS = 10
-# Modules of `PoseAutoencoder` by their names in the published files.
-_LAYERS = {
-    "pose_encoder.net.": {"0.0": 0, "0.1": 1, "1.0": 3, "1.1": 4, "2.0": 6, "2.1": 7, "3": 9},
-    "pose_encoder.out_net.": {"0": 11, "1": 12, "3": 13, "4": 14, "6": 15},
-    "pose_encoder.": {"fc_mu": 16},
-    "decoder.pre_net.": {"0": 0, "1": 1, "3": 2},
-    "decoder.net.": {"0": 4, "1": 5, "3": 7, "4": 8, "6": 10, "7": 11},
-}
 
 
 class PoseAutoencoder(nn.Module):
     """Temporal convolutions with a bottleneck of 32 features (Yoon et al. 2020, `embedding_net`).
 
-    The released network has `LeakyReLU(True)` between its linear layers: a slope of 1, which is the
-    identity. These activations are left out here. GENEA's variant lacks the last linear layer of
+    Tensors have the names of the published files. GENEA's variant lacks the last linear layer of
     the encoder (`fc_mu`) and takes windows of other lengths than 34 frames.
 
     Args:
@@ -78,33 +70,35 @@ class PoseAutoencoder(nn.Module):
         super().__init__()
         self.n_inputs, self.n_frames, self.mean_layer = n_inputs, n_frames, mean_layer
         n_left = (n_frames - 4 - 4) // 2 + 1 - 2
-        self.encoder = nn.Sequential(
-            *_block(nn.Conv1d(n_inputs, 32, 3)),
-            *_block(nn.Conv1d(32, 64, 3)),
-            *_block(nn.Conv1d(64, 64, 4, stride=2)),
-            nn.Conv1d(64, 32, 3),
-            nn.Flatten(),
-            nn.Linear(32 * n_left, 256),
-            nn.BatchNorm1d(256),
-            nn.Linear(256, 128),
-            nn.BatchNorm1d(128),
-            nn.Linear(128, N_FEATURES),
-            *([nn.Linear(N_FEATURES, N_FEATURES)] if mean_layer else []),
+        encoder = OrderedDict(
+            net=nn.Sequential(
+                nn.Sequential(*_convolved(nn.Conv1d(n_inputs, 32, 3))),
+                nn.Sequential(*_convolved(nn.Conv1d(32, 64, 3))),
+                nn.Sequential(*_convolved(nn.Conv1d(64, 64, 4, stride=2))),
+                nn.Conv1d(64, 32, 3),
+            ),
+            flat=nn.Flatten(),
+            out_net=nn.Sequential(
+                *_linear(32 * n_left, 256), *_linear(256, 128), nn.Linear(128, N_FEATURES)
+            ),
         )
-        self.decoder = nn.Sequential(
-            nn.Linear(N_FEATURES, 64),
-            nn.BatchNorm1d(64),
-            nn.Linear(64, 4 * n_frames),
-            nn.Unflatten(1, (4, n_frames)),
-            *_block(nn.ConvTranspose1d(4, 32, 3)),
-            *_block(nn.ConvTranspose1d(32, 32, 3)),
-            nn.Conv1d(32, 32, 3),
-            nn.Conv1d(32, n_inputs, 3),
+        if mean_layer:
+            encoder["fc_mu"] = nn.Linear(N_FEATURES, N_FEATURES)
+        decoder = OrderedDict(
+            pre_net=nn.Sequential(*_linear(N_FEATURES, 64), nn.Linear(64, 4 * n_frames)),
+            channels=nn.Unflatten(1, (4, n_frames)),
+            net=nn.Sequential(
+                *_convolved(nn.ConvTranspose1d(4, 32, 3)),
+                *_convolved(nn.ConvTranspose1d(32, 32, 3)),
+                nn.Conv1d(32, 32, 3),
+                nn.Conv1d(32, n_inputs, 3),
+            ),
         )
+        self.pose_encoder, self.decoder = nn.Sequential(encoder), nn.Sequential(decoder)
 
     def forward(self, windows: Tensor) -> tuple[Tensor, Tensor]:
         """Return features (B, 32) and the reconstruction of windows (B, n_frames, n_inputs)."""
-        features = self.encoder(windows.transpose(1, 2))
+        features = self.pose_encoder(windows.transpose(1, 2))
         return features, self.decoder(features).transpose(1, 2)
 
 
@@ -115,8 +109,13 @@ def reconstruction_loss(made: Tensor, windows: Tensor) -> Tensor:
     return (error + steps).sum()
 
 
-def _block(convolution: nn.Conv1d | nn.ConvTranspose1d) -> tuple[nn.Module, ...]:
-    return convolution, nn.BatchNorm1d(convolution.out_channels), nn.LeakyReLU(0.2)
+def _convolved(layer: nn.Conv1d | nn.ConvTranspose1d) -> tuple[nn.Module, ...]:
+    return layer, nn.BatchNorm1d(layer.out_channels), nn.LeakyReLU(0.2)
+
+
+def _linear(n_inputs: int, n_outputs: int) -> tuple[nn.Module, ...]:
+    # The released activation is `LeakyReLU(True)`: a slope of 1.
+    return nn.Linear(n_inputs, n_outputs), nn.BatchNorm1d(n_outputs), nn.Identity()
 
 
 @dataclass(eq=False)
@@ -207,7 +206,7 @@ class FeatureModel:
 
         Args:
             motions: the reference set, of one rig.
-            weights: safetensors file or torch state dict; see `published.pose_autoencoder`.
+            weights: safetensors file or torch state dict; see `pose_autoencoder`.
             joints: names of the joints that the weights were trained on, see `PoseWindows.fit`.
 
         Raises:
@@ -242,7 +241,7 @@ class FeatureModel:
         """
         features = []
         for clip in self.windows.cut(motions):
-            parts = [self.network.encoder(part.transpose(1, 2)) for part in _parts(clip)]
+            parts = [self.network.pose_encoder(part.transpose(1, 2)) for part in _parts(clip)]
             features.append(torch.cat(parts).double().numpy())
         return features
 
@@ -250,9 +249,7 @@ class FeatureModel:
     def fingerprint(self) -> str:
         """SHA-256 of the window settings and all tensors; equal ones give comparable values."""
         digest = hashlib.sha256(json.dumps(self.windows.to_json(), sort_keys=True).encode())
-        for name, tensor in sorted(self._tensors().items()):
-            digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
-            digest.update(tensor.numpy().tobytes())
+        add_tensors(digest, self._tensors())
         return digest.hexdigest()
 
     def save(self, folder: str | Path) -> None:
@@ -387,26 +384,19 @@ def pose_autoencoder(path: Path) -> PoseAutoencoder:
         EvaluationError: it cannot be read, or has other tensors.
     """
     tensors = read_weights(path)
-    named: dict[str, Tensor] = {}
-    for prefix, layers in _LAYERS.items():
-        for layer, number in layers.items():
-            inside = f"{prefix}{layer}."
-            part = "encoder" if prefix.startswith("pose") else "decoder"
-            for name, tensor in tensors.items():
-                if name.startswith(inside):
-                    value = tensor.float() if tensor.is_floating_point() else tensor
-                    named[f"{part}.{number}.{name.removeprefix(inside)}"] = value
     try:
-        n_inputs, n_frames = named["encoder.0.weight"].shape[1], len(named["decoder.2.weight"]) // 4
+        n_inputs = tensors["pose_encoder.net.0.0.weight"].shape[1]
+        n_frames = len(tensors["decoder.pre_net.3.weight"]) // 4
         with torch.device("meta"):  # shapes alone: they may be those of no tensor in the file
-            network = PoseAutoencoder(n_inputs, n_frames, "encoder.16.weight" in named)
-        network.load_state_dict(named, assign=True)
+            network = PoseAutoencoder(n_inputs, n_frames, "pose_encoder.fc_mu.weight" in tensors)
+        known = {name: tensors[name] for name in network.state_dict()}
+        network.load_state_dict(known, assign=True)
     except (KeyError, IndexError, RuntimeError) as error:
         raise EvaluationError(
             f"{path}: not GENEA's or Yoon's pose autoencoder ({_reason(error)}); it has "
             f"{', '.join(list(tensors)[:4]) or 'no tensors'}"
         ) from None
-    return network
+    return network.float()
 
 
 class SkeletonEncoder:
@@ -448,9 +438,7 @@ class SkeletonEncoder:
     def fingerprint(self) -> str:
         """SHA-256 of the tensors; values of equal ones can be compared."""
         digest = hashlib.sha256(b"BEAT2")
-        for name, tensor in sorted(self._tensors.items()):
-            digest.update(f"{name} {tuple(tensor.shape)}".encode())
-            digest.update(tensor.contiguous().numpy().tobytes())
+        add_tensors(digest, self._tensors)
         return digest.hexdigest()
 
     @torch.no_grad()

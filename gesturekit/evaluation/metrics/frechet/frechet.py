@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from gesturekit.evaluation.metrics.frechet.feature_model import Extractor
 
 SAMPLES_PER_DIMENSION = 10
-_RESAMPLED_DIMENSIONS = 128
-"""Largest number of principal components in the bootstrap, for speed."""
-_AXES_FROM = 4000  # samples that principal components are found from, at most
 _CLIPS = 10
 """Least number of motions of either set for an interval."""
 
@@ -92,9 +89,16 @@ def frechet_distance(generated: np.ndarray, reference: np.ndarray) -> float:
         >>> round(frechet_distance(reference + 3, reference), 6)
         9.0
     """
-    return _distance(
-        *checked_rows({"generated": generated, "reference": reference}, "sample", least=2)
-    )
+    from scipy.linalg import svdvals
+
+    sets = checked_rows({"generated": generated, "reference": reference}, "sample", least=2)
+    means = [x.mean(axis=0) for x in sets]
+    roots: list[Any] = [
+        np.linalg.qr((x - mean) / np.sqrt(len(x) - 1), mode="r") for x, mean in zip(sets, means)
+    ]
+    overlap = svdvals(roots[0] @ roots[1].T).sum()
+    apart = ((means[0] - means[1]) ** 2).sum()
+    return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
 
 
 def frechet_result(
@@ -283,38 +287,10 @@ def clip_diversity(
     return float(pdist(clips).mean())
 
 
-def _distance(generated: np.ndarray, reference: np.ndarray) -> float:
-    from scipy.linalg import svdvals
-
-    means = [x.mean(axis=0) for x in (generated, reference)]
-    roots: list[Any] = [
-        np.linalg.qr((x - mean) / np.sqrt(len(x) - 1), mode="r")
-        for x, mean in zip((generated, reference), means)
-    ]
-    overlap = svdvals(roots[0] @ roots[1].T).sum()
-    apart = ((means[0] - means[1]) ** 2).sum()
-    return float(max(0.0, apart + sum((root**2).sum() for root in roots) - 2 * overlap))
-
-
-def _principal_axes(sets: list[list[np.ndarray]]) -> np.ndarray:
-    """Return (D, 128) principal axes of all samples together."""
-    from sklearn.utils.extmath import randomized_svd
-
-    clips = [x for one in sets for x in one]
-    stride = -(-sum(map(len, clips)) // _AXES_FROM)
-    samples = np.concatenate([x[::stride] for x in clips])
-    samples = samples - samples.mean(axis=0)
-    count = min(_RESAMPLED_DIMENSIONS, *samples.shape)
-    return randomized_svd(samples, count, n_iter=2, random_state=0)[2].T
-
-
 def _standard_error(sets: list[list[np.ndarray]], resamples: int, seed: int) -> float:
-    if sets[0][0].shape[1] > _RESAMPLED_DIMENSIONS:
-        axes = _principal_axes(sets)
-        sets = [[x @ axes for x in one] for one in sets]
     rng = np.random.default_rng(seed)
     values = []
     for _ in range(resamples):
         drawn = ([one[i] for i in rng.integers(0, len(one), len(one))] for one in sets)
-        values.append(_distance(*map(np.concatenate, drawn)))
+        values.append(frechet_distance(*map(np.concatenate, drawn)))
     return float(np.std(values, ddof=1))
