@@ -270,7 +270,7 @@ def _read(table: Path, ids: Sequence[str]) -> dict[str, str]:
                 problem = f"no take of {name}" if len(fitting) == 1 else f"id {name!r} is {what}"
                 raise CorpusError(f"{where}: {problem}")
             takes[fitting[0]] = take
-    except (FormatError, OSError, UnicodeDecodeError) as error:
+    except FormatError as error:
         raise CorpusError(f"{table}: cannot read the table of takes: {error}") from error
     return takes
 

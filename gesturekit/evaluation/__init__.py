@@ -49,10 +49,10 @@ _INTERNAL = {
     "results": "ClipResult Interval Level MetricResult ModelResult QuestionAnswer",
     "statistics.answers": "Answer Answers GENEA_COLUMNS",
     "statistics.intervals": (
-        "Takes holm interval_of interval_of_statistic interval_over_samples p_value pseudo_values "
+        "Takes holm interval_of interval_of_statistic interval_over_samples pseudo_values "
         "scaled_like standard_error whole_set"
     ),
-    "statistics.model_metrics": "above_chance informative metric_results",
+    "statistics.model_metrics": "above_chance metric_results",
     "statistics.paired": "contests distance p_of_difference",
     "statistics.questions": "answer_questions answers_of verdict",
 }

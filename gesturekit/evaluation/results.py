@@ -96,11 +96,11 @@ class Level:
 
 @dataclass(frozen=True)
 class GroupLikeness:
-    """Likeness of a model to one speaker, or one style of a speaker; see `statistics.likeness`.
+    """Likeness of a motion to one speaker, or one style of a speaker; see `statistics.likeness`.
 
     Attributes:
         name: the group, of `statistics.intervals.groups_of`.
-        takes: names of the takes that the model has clips of.
+        takes: names of the takes that a model has clips of; empty for other motion.
         value: likeness, 0 to 1: the model's score over the speaker's own.
         own: the speaker's own score, 0 to 1.
         aspects: {aspect: credit over the speaker's own, at most 1}.

@@ -22,7 +22,7 @@ from gesturekit.motion.motion import Motion
 from gesturekit.motion.resampling import LOWEST_FPS
 from gesturekit.motion.root_path import RootPath
 from gesturekit.motion.skeleton import FARTHEST
-from gesturekit.wording import did_you_mean
+from gesturekit.wording import counted, did_you_mean, listed, printable
 
 _MOST_BYTES = 32 << 20
 _LONGEST_NAME = 80  # characters
@@ -36,50 +36,73 @@ _EVEN = 0.02
 """Largest deviation from evenly spaced times (due to rounding), as a share of a step."""
 
 
-def read_table(
-    path: Path, columns: Sequence[str], optional: Sequence[str] = ()
-) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the rows of a table, each with its location (file and line) and its cells by column.
+def csv_rows(
+    path: Path, error: type[Exception] = FormatError, most: int = _MOST_BYTES
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield each line of a CSV file that is not blank: its location (file and line), and its cells.
 
-    Columns may be in any order; blank lines are skipped.
+    Cells are separated by commas, semicolons (as by spreadsheets of some countries) or tabs.
+
+    Args:
+        path: the file; its first line is the header.
+        error: class of errors.
+        most: largest size of the file, bytes.
+
+    Raises:
+        Exception: of class `error`; the file cannot be read, is no CSV in UTF-8, or a line has
+            another number of cells than the header.
+    """
+    header: list[str] = []
+    try:
+        text = io.StringIO(read_bytes(path, most, error).decode("utf-8-sig"), newline="")
+        rows = csv.reader(text, strict=True, delimiter=max(",;\t", key=text.readline().count))
+        text.seek(0)
+        for row in rows:
+            cells, where = [cell.strip() for cell in row], f"{path}, line {rows.line_num}"
+            if not any(cells):
+                continue
+            header = header or cells
+            if len(cells) != len(header):
+                names = listed([printable(name[:40]) for name in header])
+                expected = f"but the header has {len(header)} ({names})"
+                raise error(f"{where}: {counted(len(cells), 'cell')}, {expected}")
+            yield where, cells
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not a CSV file in UTF-8 ({problem})") from None
+    except csv.Error as problem:
+        raise error(f"{path}, line {rows.line_num}: not a CSV file in UTF-8 ({problem})") from None
+
+
+def read_table(
+    path: Path, columns: Sequence[str], optional: Sequence[str] | None = ()
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the rows of a CSV table, each with its location (file and line) and cells by column.
+
+    Columns may be in any order and their names in capitals; for separators see `csv_rows`.
 
     Args:
         path: the file.
         columns: required columns.
-        optional: optional columns.
+        optional: optional columns; None where a table may have any others.
 
     Raises:
         FormatError: the file is missing, too large, or not such a table; with its line.
     """
-    rows = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
-    names: list[str] | None = None
-    try:
-        for row in rows:
-            if not any(cell.strip() for cell in row):
-                continue
-            where = f"{path}, line {rows.line_num}"
-            if names is None:
-                names = _names(where, row, columns, optional)
-                continue
-            if len(row) != len(names):
-                held = f"{len(row)} values; expected {len(names)} ({','.join(names)})"
-                raise FormatError(f"{where}: {held}")
-            yield where, {name: cell.strip() for name, cell in zip(names, row, strict=True)}
-    except csv.Error as error:
-        raise FormatError(f"{path}, line {rows.line_num}: not a CSV table ({error})") from None
-    if names is None:
+    rows = csv_rows(path)
+    where, header = next(rows, (str(path), []))
+    if not header:
         raise FormatError(f"{path}: empty; a table begins with the line {','.join(columns)}")
+    names = [name.lower() for name in header]
+    if optional is None:
+        optional = [name for name in names if name not in columns]
+    _check_columns(where, names, columns, optional)
+    for where, cells in rows:
+        yield where, dict(zip(names, cells, strict=True))
 
 
-def _text(path: Path, errors: str = "strict") -> str:
-    try:
-        return read_bytes(path, _MOST_BYTES, FormatError).decode("utf-8-sig", errors)
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: cannot be read as text ({error})") from None
-
-
-def _names(where: str, row: list[str], columns: Sequence[str], optional: Sequence[str]) -> list:
-    names = [cell.strip().lower() for cell in row]
+def _check_columns(
+    where: str, names: list[str], columns: Sequence[str], optional: Sequence[str]
+) -> None:
     known = [*columns, *optional]
     expected = "expected " + ",".join([*columns, *(f"[{name}]" for name in optional)])
     unknown = [name for name in names if name not in known]
@@ -90,7 +113,6 @@ def _names(where: str, row: list[str], columns: Sequence[str], optional: Sequenc
     if problems:
         hint = did_you_mean(unknown[0], known, "did you mean {}? ") if unknown else ""
         raise FormatError(f"{where}: {problems[0]}; {hint}{expected}")
-    return names
 
 
 def _number(where: str, column: str, cell: str, low: float, high: float, kind: str) -> float:
@@ -243,7 +265,8 @@ def load_semantics(path: Path) -> list[tuple[float, float, float]]:
         FormatError: the table cannot be read, or a line is invalid.
     """
     intervals = []
-    rows = csv.reader(io.StringIO(_text(path, "replace"), newline=""), delimiter="\t")
+    text = read_bytes(path, _MOST_BYTES, FormatError).decode("utf-8-sig", "replace")
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter="\t")
     try:
         for row in filter(None, rows):
             start, end, score = (float(row[column]) for column in (1, 2, 4))

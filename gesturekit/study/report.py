@@ -14,12 +14,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import matplotlib.style
 import numpy as np
 from markupsafe import Markup
 
 from audio_features.atomic import write_text
 from gesturekit.evaluation.pairs import grouped
-from gesturekit.evaluation.report.plots import draw_rows, name_rows, new_figure, shortened, svg_text
+from gesturekit.evaluation.report.plots import (
+    STYLE,
+    draw_rows,
+    name_rows,
+    new_figure,
+    shortened,
+    svg_text,
+)
 from gesturekit.evaluation.report.text import templates
 from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.evaluation.statistics.intervals import LEVEL
@@ -39,6 +47,7 @@ _ANSWERS = ("#2f6f9f", "#8bb8d9", "#9aa4ae", "#e5b08f", "#c8643a")
 """Colours of the answers from clearly the first to clearly the second system, readable on light
 and on dark pages."""
 _INK, _GREY = "#3f87bb", "#7b8794"
+_LOOK = dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _GREY)
 
 
 def conclusions(found: StudyResult) -> list[str]:
@@ -232,6 +241,7 @@ def _figures(preference: Preference) -> dict[str, Any]:
     return {name: values[name] for name in ("systems", "pairs", "not_compared", "anova")}
 
 
+@matplotlib.style.context([STYLE, _LOOK])
 def all_plots(found: StudyResult) -> dict[str, str]:
     """Return {title: SVG text} of all plots that have data."""
     plots = {}
@@ -263,13 +273,13 @@ def _points(
     figure = new_figure(0.9 + 0.36 * len(estimates))
     axes = figure.subplots()
     names = [shortened(name, 44) for name in estimates]
-    values = [(factor * e.value, factor * e.low, factor * e.high) for e in estimates.values()]
-    draw_rows(axes, names, {0: _INK}, lambda row, _: values[row], 0.0)
+    bars = [[(factor * e.value, factor * e.low, factor * e.high)] for e in estimates.values()]
+    draw_rows(axes, names, bars, [_INK], 0.0)
     if middle is not None:
         axes.axvline(middle, color=_GREY, lw=1.2, ls="--")
     axes.set_xlabel(label)
     axes.grid(axis="x", color=_GREY, alpha=0.3)
-    return svg_text(figure, _GREY, _GREY)
+    return svg_text(figure)
 
 
 def _bars(rows: dict[str, tuple[int, ...]]) -> str:
@@ -284,4 +294,4 @@ def _bars(rows: dict[str, tuple[int, ...]]) -> str:
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of answers, %")
     name_rows(axes, [shortened(name, 44) for name in rows])
-    return svg_text(figure, _GREY, _GREY)
+    return svg_text(figure)

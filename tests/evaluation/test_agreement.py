@@ -216,15 +216,19 @@ def test_the_takes_of_the_evaluation_are_drawn_as_well(tmp_path):
     for name, away, speakers in (
         ("steady", np.zeros((8, 6)), (None,)),
         ("noisy", noise, (None,)),
+        ("one clip without sync", noise, (None,)),
         ("two speakers", noise, ("anna", "bert")),
     ):
         models = [
             clips_of(label, list(v / 50 + row), speakers)
             for (label, v), row in zip(quality.items(), away)
         ]
+        if name == "one clip without sync":
+            del models[0].clips[0].metrics["sync"]
         (question,) = agreement(models, ratings).questions
         intervals[name] = (question.metrics[0].low, question.metrics[0].high)
     assert intervals["noisy"][0] < intervals["steady"][0] - 0.2
+    assert intervals["one clip without sync"][0] < intervals["steady"][0] - 0.2
     # Takes of two speakers are different takes, whatever their names.
     assert intervals["two speakers"] == intervals["noisy"]
 

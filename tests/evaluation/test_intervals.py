@@ -161,6 +161,7 @@ def test_the_paired_test_is_the_one_of_scipy():
         above = stats.ttest_rel(a, b, alternative="greater").pvalue
         assert p_of_difference(a, b, zero, above=True) == pytest.approx(above)
     assert p_of_difference(one[:4], other[:4], zero[:4]) is None
+    assert p_of_difference(one, one, zero) == 1.0, "equal takes"
 
 
 @pytest.mark.stress

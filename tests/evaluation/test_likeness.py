@@ -25,8 +25,8 @@ from gesturekit.evaluation.definitions import MOVEMENT, POOLED
 from gesturekit.evaluation.measuring.clip_metrics import ReferenceStatistics
 from gesturekit.evaluation.measuring.clips import chosen_frames
 from gesturekit.evaluation.measuring.made_motion import halved, held, turned
-from gesturekit.evaluation.results import OTHER_SPEAKER, MetricResult
-from gesturekit.evaluation.statistics.likeness import Relative, credits, relative
+from gesturekit.evaluation.results import OTHER_SPEAKER, GroupLikeness, MetricResult
+from gesturekit.evaluation.statistics.likeness import credits, relative
 from gesturekit.evaluation.statistics.model_metrics import MEAN_POSE
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import arm_joints, body_joints
@@ -115,7 +115,7 @@ def credits_of(
 
 def mean_of(
     made: Sequence[Motion], real: Sequence[Motion], size: int, left_out: int = -1
-) -> Relative:
+) -> GroupLikeness:
     """Likeness of clips of the first takes, over all choices of `size` of these."""
     found = []
     for chosen in combinations(range(len(made)), size):
@@ -127,7 +127,7 @@ def mean_of(
             found.append(relative(ours, own))
     aspects = {k: float(np.mean([one.aspects[k] for one in found])) for k in found[0].aspects}
     value, own = np.mean([(one.value, one.own) for one in found], axis=0)
-    return Relative(value, own, aspects)
+    return GroupLikeness("", (), value, own, aspects)
 
 
 def test_clips_and_recordings_are_compared_with_the_same_other_takes(talk, tmp_path):

@@ -73,7 +73,7 @@ def shown(drawn, title: str, *models: ModelResult, **recorded) -> list:
 
 def test_movement_is_a_ratio_to_the_recording_with_a_row_for_each_metric(drawn):
     a = model("a", {"arm_speed": (of(0.3, 0.2, 0.4), 0.5), "jerk": (of(0.001), 1.0)})
-    b = model("b", {"arm_speed": (of(1.0, 0.001, 4.0), 0.5), "jerk": (of(2.0), 1.0)})
+    b = model("b $_$", {"arm_speed": (of(1.0, 0.001, 4.0), 0.5), "jerk": (of(2.0), 1.0)})
     (axes,) = shown(drawn, "Movement", a, b)
     rows = names(axes.yaxis)
     arm, jerk = (next(i for i, name in enumerate(rows) if word in name)
@@ -88,7 +88,7 @@ def test_movement_is_a_ratio_to_the_recording_with_a_row_for_each_metric(drawn):
     assert not any(y == [jerk - 0.175] for _, y in marks)
     assert low <= 0.45 and high >= 2.2 and axes.get_ylim() == (1.5, -0.5)
     (legend,) = axes.figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b $_$"], "no mathematics"
     assert {"0.5×", "1×", "2×", "5×"} <= {*names(axes.xaxis)}
 
 

@@ -30,9 +30,10 @@ def test_headings_are_unwrapped_from_180_to_minus_180(tmp_path):
     assert np.degrees(np.ptp(path.headings)) == pytest.approx(40.0, abs=1e-6)
 
 
-def test_columns_stand_in_any_order_and_a_path_looks_where_it_goes(tmp_path):
+@pytest.mark.parametrize("separator", [b",", b";", b"\t"])
+def test_columns_stand_in_any_order_and_a_path_looks_where_it_goes(tmp_path, separator):
     text = b"\xef\xbb\xbfZ, x ,Time\r\n0,0,0\r\n\r\n0,1,1\r\n0,2,2\r\n"
-    path = load_root_path(table(tmp_path, text))
+    path = load_root_path(table(tmp_path, text.replace(b",", separator)))
     assert path.fps == pytest.approx(1.0)
     assert path.positions == pytest.approx(np.array([[0, 0], [1, 0], [2, 0]]))
     assert path.headings == pytest.approx(np.pi / 2)

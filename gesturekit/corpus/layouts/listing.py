@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -110,12 +109,7 @@ def rows(
     Raises:
         CorpusError: the file is missing or no such table; with its line.
     """
-    columns, header = list(columns), list[str]()
     try:
-        if others and path.is_file():
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                header = [name.strip().lower() for name in next(csv.reader(file), [])]
-        return list(read_table(path, columns, [name for name in header if name not in columns]))
-    except (FormatError, OSError, UnicodeDecodeError, csv.Error) as error:
-        where = "" if str(path) in str(error) else f"{path}: "
-        raise CorpusError(f"{where}{error}; download it again") from error
+        return list(read_table(path, list(columns), None if others else ()))
+    except FormatError as error:
+        raise CorpusError(f"{error}; download it again") from error

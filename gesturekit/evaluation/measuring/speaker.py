@@ -56,7 +56,6 @@ from gesturekit.evaluation.results import (
 from gesturekit.evaluation.statistics.intervals import Takes, groups_of, interval_of, whole_set
 from gesturekit.evaluation.statistics.likeness import (
     Credits,
-    Relative,
     credits,
     likeness_result,
     relative,
@@ -231,7 +230,7 @@ class _Speaker:
 
     def _relative(
         self, scored: Scorer, sides: Iterable[tuple[_Chosen, _Chosen, _Chosen]]
-    ) -> list[Relative]:
+    ) -> list[GroupLikeness]:
         """Return the likeness of takes x beside the speaker's a, both compared with b."""
         found = (relative(scored(x, b), self.own(a, b)) for x, a, b in sides)
         return [likeness for likeness in found if likeness is not None]
@@ -265,30 +264,24 @@ class _Speaker:
     def model(self, takes: Sequence[_Take], name: str) -> GroupLikeness | None:
         """Return the likeness of a model's takes, which are those of the first `held` takes."""
         scored, draws = self.scorer(takes), self.draws()
+        names = tuple(take.name for take in takes)
 
-        def mean(left_out: int = -1) -> Relative | None:
+        def mean(left_out: int = -1) -> GroupLikeness | None:
             sides = [[tuple(i for i in side if i != left_out) for side in draw] for draw in draws]
             found = self._relative(scored, ((a, a, b) for a, b in sides if a and b))
             if not found:
                 return None
             value, own = (float(np.mean([getattr(f, k) for f in found])) for k in ("value", "own"))
-            return Relative(value, own, _means([likeness.aspects for likeness in found]))
+            aspects = _means([likeness.aspects for likeness in found])
+            return GroupLikeness(name, names, value, own, aspects, pieces=self.pieces)
 
         whole = mean()
         if whole is None:
             return None
         left = [mean(i) or whole for i in range(len(self.takes))]
-        values, names = [likeness.value for likeness in left], tuple(take.name for take in takes)
-        return GroupLikeness(
-            name,
-            names,
-            whole.value,
-            whole.own,
-            whole.aspects,
-            without=dict(zip(names, values)) if self.held > 1 else {},
-            without_reference=tuple(values[self.held :]),
-            pieces=self.pieces,
-        )
+        values = [likeness.value for likeness in left]
+        without = dict(zip(names, values)) if self.held > 1 else {}
+        return replace(whole, without=without, without_reference=tuple(values[self.held :]))
 
 
 def _distances_within(rows: np.ndarray) -> np.ndarray:

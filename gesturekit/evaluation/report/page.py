@@ -9,9 +9,8 @@ import html
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ from gesturekit.evaluation.definitions import (
     shown_in,
 )
 from gesturekit.evaluation.measuring.clips import load_clip
-from gesturekit.evaluation.pairs import WINDOW_SECONDS
+from gesturekit.evaluation.pairs import WINDOW_SECONDS, grouped
 from gesturekit.evaluation.report import text
 from gesturekit.evaluation.report.plots import RECORDING, all_plots, colour
 from gesturekit.evaluation.results import (
@@ -155,54 +154,22 @@ def _with_short_names(evaluation: Evaluation) -> Evaluation:
 def _warnings(evaluation: Evaluation) -> Iterator[str]:
     """Yield warnings on intervals, and the notes of models, each once."""
     yield from (f"{warning}." for warning in text.interval_warnings(evaluation))
-    said: dict[str, list[str]] = {}
+    notes: list[tuple[str, str]] = []
     for model in evaluation.models:
-        left_out = sum(item.what == "clip" for item in model.excluded)
-        first = f"left out: {counted(left_out, 'clip')}; the reasons are below"
-        for note in ([first] if left_out else []) + model.notes:
-            said.setdefault(note, []).append(model.label)
-    for note, labels in said.items():
+        if left_out := sum(item.what == "clip" for item in model.excluded):
+            note = f"left out: {counted(left_out, 'clip')}; the reasons are below"
+            notes.append((note, model.label))
+        notes += [(note, model.label) for note in model.notes]
+    for note, labels in grouped(notes).items():
         yield f"{', '.join(labels)}: {note}." if len(evaluation.models) > 1 else f"{note}."
 
 
-@dataclass(frozen=True)
-class Question:
-    """A column of the three questions, whose scores have places on one line.
+def _questions(models: Sequence[ModelResult], headline: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return the questions that head the page, each with its heading; none without answers.
 
-    Attributes:
-        text: its heading.
-        results: {label of a model: its score}.
-        best: label of the model whose score is bold, or None.
-    """
-
-    text: str
-    results: dict[str, MetricResult]
-    best: str | None
-
-    @property
-    def has_intervals(self) -> bool:
-        """True if a score has an interval."""
-        return any(result.interval.low is not None for result in self.results.values())
-
-    @cached_property
-    def ends(self) -> tuple[float, float]:
-        """Values at both ends of the line, between which all scores and levels lie."""
-        results = self.results.values()
-        levels = [level for result in results for level in result.levels]
-        ends = [level.value + sign * (level.spread or 0.0) for level in levels for sign in (-1, 1)]
-        ends += [result.interval.value for result in results if result.informative]
-        return min([0.0, *ends]), max([1e-6, *ends])
-
-    def x(self, value: float) -> float:
-        """Return the place of a value in pixels: 6 to 254 of 260."""
-        low, high = self.ends
-        return 6.0 + 248.0 * (value - low) / (high - low)
-
-
-def _questions(models: Sequence[ModelResult], headline: Sequence[Row]) -> list[Question]:
-    """Return the questions that head the page; none without answers.
-
-    A broken motion has no scores there, and does not stretch the lines of the others.
+    Each has {label: score} (`results`), the label of the bold score (`best`), and the function that
+    places values on a line (`x`). A broken motion has no score, and does not stretch the lines of
+    the others.
     """
     best = {row.definition.key: row.best for row in headline}
     answered = [model for model in models if model.answers]
@@ -211,8 +178,24 @@ def _questions(models: Sequence[ModelResult], headline: Sequence[Row]) -> list[Q
         key, states = answers[0].key, [answer.state for answer in answers]
         asked = [m for m, state in zip(answered, states) if state != NOT_ASKED and key in m.metrics]
         results = {model.label: model.metrics[key] for model in asked}
-        questions.append(Question(answers[0].question, results, best.get(key)))
+        questions.append(dict(
+            text=answers[0].question, results=results, best=best.get(key),
+            has_intervals=any(result.interval.low is not None for result in results.values()),
+            x=_places(results.values()),
+        ))  # fmt: skip
     return questions
+
+
+def _places(results: Collection[MetricResult]) -> Callable[[float], float]:
+    """Return the function of values to their places in pixels, 6 to 254 of 260.
+
+    All scores and levels of the results lie on the line.
+    """
+    levels = [level for result in results for level in result.levels]
+    ends = [level.value + sign * (level.spread or 0.0) for level in levels for sign in (-1, 1)]
+    ends += [result.interval.value for result in results if result.informative]
+    low, high = min([0.0, *ends]), max([1e-6, *ends])
+    return lambda value: 6.0 + 248.0 * (value - low) / (high - low)
 
 
 def _by_recording(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-import matplotlib
 import matplotlib.figure
+import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.lines import Line2D
 
 from gesturekit.evaluation.definitions import DEFINITIONS, PATCHES, definitions_of, shown_in
@@ -23,16 +23,15 @@ MODEL_COLOURS = (
 )
 RECORDING = "#26303b"
 CHANCE = "#aab4be"
-_SOFT, _LINE = "#6b7785", "#d5dae0"
 WIDTH = 10.4  # inches; a page shows it 1040 pixels wide
+STYLE = Path(__file__).parent / "page" / "plots.mplstyle"
 
 _DASHED: dict[str, Any] = {"color": RECORDING, "lw": 1.4, "ls": "--"}
 _OF_CHANCE: dict[str, Any] = {"color": CHANCE, "ls": "", "ms": 12, "mew": 2.5}
 _BAR: dict[str, Any] = {"lw": 2}
 _DOT: dict[str, Any] = {"ls": "", "marker": "o", "ms": 7}
-_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.5, "color": RECORDING}
-_BELOW: dict[str, Any] = dict(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-"""Looks of lines, marks, titles and legends."""
+_BELOW: dict[str, Any] = {"loc": "outside lower center", "ncols": 4}
+"""Looks of lines and marks, and place of legends."""
 
 _LEAST_RATIO = 0.01
 _MOST_RECORDINGS = 24
@@ -45,6 +44,7 @@ def colour(index: int) -> str:
     return MODEL_COLOURS[index % len(MODEL_COLOURS)]
 
 
+@matplotlib.style.context(STYLE)
 def all_plots(evaluation: Evaluation) -> dict[str, str]:
     """Return {title: SVG text} of all plots that have data."""
     plots = {
@@ -54,7 +54,7 @@ def all_plots(evaluation: Evaluation) -> dict[str, str]:
         "Joint speeds": _histograms(evaluation),
         "Patches, recording by recording": _patches(evaluation.models),
     }
-    return {name: svg_text(made, _LINE, _SOFT) for name, made in plots.items() if made is not None}
+    return {name: svg_text(made) for name, made in plots.items() if made is not None}
 
 
 def _speech(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
@@ -76,7 +76,7 @@ def _speech(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
         axes.set_xlim(-0.6, len(models) - 0.4)
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
         axes.set_ylabel("Pearson's r" if key == "sync" else "score, 0 to 1")
-        axes.set_title(DEFINITIONS[key].name, **_TITLE)
+        axes.set_title(DEFINITIONS[key].name)
     looks = (_DASHED, {"marker": "_", **_OF_CHANCE}, {"marker": "x", **_OF_CHANCE})
     names = ["the recording's own", "chance: sound shifted", "sound of other recordings"]
     figure.legend([Line2D([], [], **look) for look in looks], names, **_BELOW)
@@ -89,9 +89,9 @@ def _ratios(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
         return None
     figure = new_figure(0.9 + 0.36 * len(keys) * max(1.0, 0.6 * len(models)))
     axes = figure.subplots()
-    inks = {i: colour(i) for i in range(len(models))}
-    titles = [DEFINITIONS[key].title for key in keys]
-    draw_rows(axes, titles, inks, lambda row, i: _ratio(models[i], keys[row]), 0.7)
+    inks = {model.label: colour(i) for i, model in enumerate(models)}
+    ratios = [[_ratio(model, key) for model in models] for key in keys]
+    draw_rows(axes, [DEFINITIONS[key].title for key in keys], ratios, [*inks.values()], 0.7)
     axes.axvline(1.0, **_DASHED)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
@@ -103,8 +103,8 @@ def _ratios(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
     axes.set_xlabel(
         "generated / recorded (log scale, 0.01× and more); the dashed line is the recording"
     )
-    axes.grid(axis="x", color=_LINE)
-    _legend(figure, {model.label: inks[i] for i, model in enumerate(models)})
+    axes.grid(axis="x")
+    _legend(figure, inks)
     return figure
 
 
@@ -139,7 +139,7 @@ def _wrists(evaluation: Evaluation) -> matplotlib.figure.Figure | None:
     axes.set_xticks(range(len(sets)), [label for label, _, _ in sets])
     axes.set_ylabel("wrist speed, m/s")
     axes.set_ylim(0, top)
-    axes.grid(axis="y", color=_LINE)
+    axes.grid(axis="y")
     return figure
 
 
@@ -159,29 +159,29 @@ def _histograms(evaluation: Evaluation) -> matplotlib.figure.Figure | None:
     axes.set_ylim(0, 1.08 * axes.get_ylim()[1])
     axes.set_xlabel("joint speed, cm/s on a body of 1.7 m (bins of 1 cm/s)")
     axes.set_ylabel("share of values, %")
-    axes.legend(frameon=False, fontsize=9)
-    axes.grid(axis="y", color=_LINE)
+    axes.legend()
+    axes.grid(axis="y")
     return figure
 
 
 def _patches(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
-    sampled = {i: m.by_recording for i, m in enumerate(models) if m.by_recording}
-    inks = {i: colour(i) for i in sampled}
-    stems = sorted({stem for by_recording in sampled.values() for stem in by_recording})
+    inks = {model.label: colour(i) for i, model in enumerate(models) if model.by_recording}
+    models = [model for model in models if model.by_recording]
+    stems = sorted({stem for model in models for stem in model.by_recording})
     patches = [d for d in definitions_of("comparison") if d.group == PATCHES]
-    patches = [d for d in patches if any(d.key in models[i].metrics for i in sampled)]
+    patches = [d for d in patches if any(d.key in model.metrics for model in models)]
     if len(stems) < 2 or not patches:
         return None
     stems = stems[:_MOST_RECORDINGS]
-    figure = new_figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(sampled)))
+    figure = new_figure(1.0 + 0.28 * len(stems) * max(1.0, 0.5 * len(models)))
     columns = figure.subplots(1, len(patches), sharey=True, squeeze=False)[0]
     for axes, definition in zip(columns, patches, strict=True):
-
-        def ends(row: int, i: int, key: str = definition.key) -> Ends | None:
-            interval = sampled[i].get(stems[row], {}).get(key)
-            return None if interval is None else _ends(interval)
-
-        draw_rows(axes, [shortened(stem, 26) for stem in stems], inks, ends, 0.6)
+        intervals = [
+            [model.by_recording.get(stem, {}).get(definition.key) for model in models]
+            for stem in stems
+        ]
+        bars = [[None if one is None else _ends(one) for one in row] for row in intervals]
+        draw_rows(axes, [shortened(stem, 26) for stem in stems], bars, [*inks.values()], 0.6)
         if definition.unit == "%":
             axes.set_xlim(-4, 104)
             axes.set_xlabel("% of windows")
@@ -189,33 +189,33 @@ def _patches(models: Sequence[ModelResult]) -> matplotlib.figure.Figure | None:
             right = 1.05 * axes.get_xlim()[1]
             axes.set_xlim(-0.03 * right, right)
             axes.set_xlabel("mean distance of frames")
-        axes.grid(color=_LINE)
-        axes.set_title(definition.name, **_TITLE)
-    _legend(figure, {models[i].label: ink for i, ink in inks.items()})
+        axes.grid()
+        axes.set_title(definition.name)
+    _legend(figure, inks)
     return figure
 
 
 def draw_rows(
     axes: Axes,
     names: Sequence[str],
-    inks: Mapping[int, str],
-    ends: Callable[[int, int], Ends | None],
+    bars: Sequence[Sequence[Ends | None]],
+    inks: Sequence[str],
     height: float,
 ) -> None:
-    """Draw a horizontal error bar of each model in each row.
+    """Draw rows of horizontal error bars.
 
     Args:
         axes: where to draw.
         names: of the rows.
-        inks: {index of a model: colour}.
-        ends: function of row and index of the model to its value and interval.
+        bars: values of each row with the ends of their intervals; None leaves a place empty.
+        inks: colour of each place in a row.
         height: share of a row that its bars take.
     """
-    for row in range(len(names)):
-        for place, (i, ink) in enumerate(inks.items()):
-            if (known := ends(row, i)) is not None:
-                y = row + (place - (len(inks) - 1) / 2) * height / len(inks)
-                _error_bar(axes, y, known, ink, vertical=False)
+    for at, row in enumerate(bars):
+        for place, (ends, ink) in enumerate(zip(row, inks, strict=True)):
+            if ends is not None:
+                y = at + (place - (len(inks) - 1) / 2) * height / len(inks)
+                _error_bar(axes, y, ends, ink, vertical=False)
     name_rows(axes, names)
 
 
@@ -252,30 +252,11 @@ def shortened(name: str, most: int) -> str:
 
 def new_figure(height: float) -> matplotlib.figure.Figure:
     """Return an empty figure of the page's width and `height` inches."""
-    figure = matplotlib.figure.Figure(figsize=(WIDTH, height), layout="constrained")
-    FigureCanvasSVG(figure)
-    return figure
+    return matplotlib.figure.Figure(figsize=(WIDTH, height))
 
 
-def svg_text(figure: matplotlib.figure.Figure, line: str, label: str) -> str:
-    """Return a figure as SVG.
-
-    Args:
-        figure: its tick labels are shown as they are, without mathematics.
-        line: colour of axes.
-        label: colour of ticks and labels of axes.
-    """
-    for axes in figure.axes:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.spines[["left", "bottom"]].set_color(line)
-        axes.tick_params(colors=label, labelsize=9, length=3)
-        axes.xaxis.label.set(color=label, size=9.5)
-        axes.yaxis.label.set(color=label, size=9.5)
-        for text in (*axes.get_xticklabels(), *axes.get_yticklabels()):
-            text.set_parse_math(False)
-        axes.set_axisbelow(True)
+def svg_text(figure: matplotlib.figure.Figure) -> str:
+    """Return a figure as SVG: the same bytes for the same figure."""
     made = io.StringIO()
-    # A fixed salt and no date: the same figures give the same bytes.
-    with matplotlib.rc_context({"svg.hashsalt": "gesturekit", "svg.fonttype": "path"}):
-        figure.savefig(made, format="svg", transparent=True, metadata={"Date": None})
+    figure.savefig(made, format="svg", metadata={"Date": None})
     return made.getvalue()

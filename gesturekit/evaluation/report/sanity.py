@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from audio_features import AudioFeaturesError, Wave
-from gesturekit.corpus import Item, Manifest
+from gesturekit.corpus import Item
 from gesturekit.errors import EvaluationError, GestureKitError
 from gesturekit.evaluation.comparison import evaluate
 from gesturekit.evaluation.definitions import HEADLINE, Definition
 from gesturekit.evaluation.measuring.made_motion import bad_motion
-from gesturekit.evaluation.pairs import file_of, files_by_key, motion_files
+from gesturekit.evaluation.pairs import Items, file_of, files_by_key, motion_files
 from gesturekit.evaluation.results import Evaluation, MetricResult, ModelResult
+from gesturekit.evaluation.statistics.paired import distance
 from gesturekit.formats.sources import SPEECH_SUFFIXES
 from gesturekit.motion import Motion
 from gesturekit.motion.parts import find_parts
@@ -65,12 +66,10 @@ def run_sanity(
         reasons = "; ".join(f"{key}: {reason}" for key, reason in list(left_out.items())[:2])
         raise EvaluationError(f"{recordings}: no recording can be used: {reasons}")
     held_out, training = _split(items)
+    reference = Items(recordings, "test", tuple(held_out), others=tuple(training))
     with tempfile.TemporaryDirectory(prefix="gesturekit_sanity_") as folder:
-        root = Path(folder)
-        Manifest([*held_out, *training]).save(root / "corpus.jsonl")
-        models = _write(root, held_out, training, options.get("seed", 0))
-        evaluation = evaluate(models, root / "corpus.jsonl", split="test", **options)
-    return replace(evaluation, reference=recordings), left_out
+        models = _write(Path(folder), held_out, training, options.get("seed", 0))
+        return evaluate(models, reference, **options), left_out
 
 
 def _sounds(recordings: Path, audio: Path | None) -> Mapping[str, Path]:
@@ -199,10 +198,8 @@ def _notices(definition: Definition, result: MetricResult, own: MetricResult) ->
         return value < TIMED * itself
     if result.chance is not None and own.chance is not None:
         return value - result.chance < TIMED * (itself - own.chance)
-    if definition.enough:
-        more = (value - goal) * (1.0 if definition.enough == "at most" else -1.0)
-        return more > CHANGE * goal
-    return key != "calm_lively_slope" and abs(value - goal) > CHANGE * abs(goal) + 1e-9
+    away = float(distance(key, value, goal))
+    return key != "calm_lively_slope" and away > CHANGE * abs(goal) + 1e-9
 
 
 def table_lines(evaluation: Evaluation) -> Iterator[str]:

@@ -6,12 +6,14 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
 from gesturekit.evaluation.definitions import DEFINITIONS, GROUPS
+from gesturekit.evaluation.pairs import grouped
 from gesturekit.evaluation.results import (
     NOT_ASKED,
     Evaluation,
@@ -144,11 +146,8 @@ def rows_by_group(evaluation: Evaluation) -> dict[str, list[Row]]:
 
 def interval_warnings(evaluation: Evaluation) -> Iterator[str]:
     """Yield warnings about intervals that are missing, with the data that would give them."""
-    few: dict[tuple[str, int], list[str]] = {}
-    for model in evaluation.models:
-        takes = Takes.of([clip.pair for clip in model.clips])
-        if takes.count < takes.needed:
-            few.setdefault((takes.in_words, takes.needed), []).append(model.label)
+    takes = [(m.label, Takes.of([clip.pair for clip in m.clips])) for m in evaluation.models]
+    few = grouped(((t.in_words, t.needed), label) for label, t in takes if t.count < t.needed)
     for (takes_in_words, needed), labels in few.items():
         named = "" if len(few) == 1 else f"{', '.join(labels)}: "
         yield (
@@ -228,17 +227,13 @@ def note_lines(evaluation: Evaluation) -> Iterator[str]:
         yield from (f"Note: study: {note}" for note in evaluation.agreement.notes)
     for model in evaluation.models:
         yield from (f"Note: {model.label}: {note}" for note in model.notes)
-        metrics: dict[str, tuple[list[str], list[str]]] = {}
-        for item in model.excluded:
-            if item.what == "clip":
-                yield f"Left out: {model.label}: {item.name}: clip: {item.reason}"
-                continue
-            names, left_out = metrics.setdefault(item.reason, ([], []))
-            names.append(item.name)
-            left_out.append(item.what)
-        for reason, (names, left_out) in metrics.items():
-            what, of = ", ".join(dict.fromkeys(left_out)), listed(list(dict.fromkeys(names)), 3)
-            yield f"Left out: {model.label}: {of}: {what}: {reason}"
+        clips = [item for item in model.excluded if item.what == "clip"]
+        yield from (f"Left out: {model.label}: {c.name}: clip: {c.reason}" for c in clips)
+        metrics = grouped((m.reason, m) for m in model.excluded if m.what != "clip")
+        for reason, items in metrics.items():
+            names = listed([*dict.fromkeys(item.name for item in items)], 3)
+            what = ", ".join(dict.fromkeys(item.what for item in items))
+            yield f"Left out: {model.label}: {names}: {what}: {reason}"
 
 
 def summary_line(evaluation: Evaluation, report: Path | None) -> str:
@@ -296,7 +291,7 @@ def differences(evaluation: Evaluation, before: Mapping[str, Any]) -> Iterator[s
     )
     if len(old) == len(new) == 1:
         old = dict(zip(new, old.values(), strict=True))
-    for label in [*new, *(name for name in old if name not in new)]:
+    for label in new | old:
         if label not in old or label not in new:
             yield f"{label}: only {'now' if label in new else 'before'}"
             continue
@@ -307,7 +302,7 @@ def differences(evaluation: Evaluation, before: Mapping[str, Any]) -> Iterator[s
 
 def _changed_values(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each value of a model that differs, is new or is gone."""
-    for key in [*new, *(key for key in old if key not in new)]:
+    for key in {**new, **old}:
         name = DEFINITIONS[key].name if key in DEFINITIONS else key
         if key not in old or key not in new:
             yield f"  {name}: only {'now' if key in new else 'before'}"
@@ -334,17 +329,7 @@ def templates(folder: Path, *, autoescape: bool = True) -> jinja2.Environment:
     )
 
 
-def markdown(evaluation: Evaluation) -> str:
-    """Return the table in Markdown, one heading line a group."""
-    return _table(evaluation, "table.md", _markdown)
-
-
-def latex(evaluation: Evaluation) -> str:
-    """Return the table in LaTeX (booktabs), without a float around it."""
-    return _table(evaluation, "table.tex", _latex)
-
-
-def _table(evaluation: Evaluation, name: str, escaped: Callable[[str], str]) -> str:
+def _table(name: str, escaped: Callable[[str], str], evaluation: Evaluation) -> str:
     """Return the table as a template writes it; names, and values of LaTeX, are escaped."""
     environment = templates(_PAGE, autoescape=False)
     environment.filters["escaped"] = escaped
@@ -373,15 +358,6 @@ def report_lines(evaluation: Evaluation) -> list[str]:
     return [*evaluation.verdicts(), *terminal_lines(evaluation), *agreement_lines(evaluation)]
 
 
-WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
-    "json": Evaluation.json_text,
-    "csv": csv_text,
-    "markdown": markdown,
-    "latex": latex,
-}
-"""Functions that return all results (json), or the table, as text, by name of the form."""
-
-
 def _markdown(text: str) -> str:
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", _one_line(text))
 
@@ -392,3 +368,12 @@ def _latex(text: str) -> str:
 
 def _one_line(text: str) -> str:
     return "".join(sign if sign.isprintable() or sign == "\u202f" else " " for sign in text)
+
+
+WRITERS: Mapping[str, Callable[[Evaluation], str]] = {
+    "json": Evaluation.json_text,
+    "csv": csv_text,
+    "markdown": partial(_table, "table.md", _markdown),
+    "latex": partial(_table, "table.tex", _latex),
+}
+"""Functions that return all results (json), or the table, as text, by name of the form."""

@@ -22,6 +22,8 @@ from gesturekit.evaluation.definitions import DEFINITIONS
 from gesturekit.evaluation.results import Agreement, MetricAgreement, ModelResult, QuestionAgreement
 from gesturekit.evaluation.statistics.answers import Ratings
 from gesturekit.evaluation.statistics.intervals import FEW, LEVEL, holm
+from gesturekit.evaluation.statistics.model_metrics import by_take
+from gesturekit.evaluation.statistics.paired import in_common
 from gesturekit.evaluation.statistics.scores import RESAMPLES, Scores, scores_of
 from gesturekit.wording import counted, listed, printable
 
@@ -126,10 +128,10 @@ def _of_question(
             known = all(m.metrics[key].informative for m in models if key in m.metrics)
             p = found.p_holm if known else None
             metrics.append(replace(found, informative=known, p_holm=p))
-    p_values = [np.nan if one.p_holm is None else one.p_holm for one in metrics]
+    adjusted = holm([one.p_holm for one in metrics]).tolist()
     metrics = [
         replace(one, p_holm=None if np.isnan(p) else p)
-        for one, p in zip(metrics, holm(p_values).tolist(), strict=True)
+        for one, p in zip(metrics, adjusted, strict=True)
     ]
     return QuestionAgreement(
         question,
@@ -251,25 +253,16 @@ def metric_values(
 def _away(models: Sequence[ModelResult], key: str, seed: int) -> Mapping[str, np.ndarray]:
     """Return {system: (1 + B,) differences of bootstrap samples of takes from all takes}.
 
-    The first one is 0, and all are if a model has no value for each clip, or with fewer than `FEW`
-    takes.
+    Takes are those of recordings of which all clips have a value. The first one is 0, and all are
+    with fewer than `FEW` takes.
     """
-    sides = {m.label: [(clip.pair, clip.metrics) for clip in m.clips] for m in models}
-    sides.setdefault(RECORDING, [(clip.pair, clip.recording) for clip in models[0].clips])
-    tables: dict[str, dict[tuple[str, str], float]] = {}
-    for label, clips in sides.items():
-        takes: dict[tuple[str, str], list[float]] = defaultdict(list)
-        for pair, metrics in clips:
-            takes[pair.speaker or "", pair.take].append(metrics.get(key, np.nan))
-        tables[label] = {take: float(np.mean(values)) for take, values in takes.items()}
-    if np.isnan([*tables[RECORDING].values()]).any():
-        del tables[RECORDING]
-    common = sorted(set.intersection(*map(set, tables.values())))
-    values = np.array([[table[take] for take in common] for table in tables.values()])
+    clips = dict(zip((model.label for model in models), in_common(key, *models), strict=True))
+    values = {label: by_take(some, key, generated=True) for label, some in clips.items()}
+    values.setdefault(RECORDING, by_take(clips[models[0].label], key))
     away: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(1 + RESAMPLES))
-    if (n := len(common)) >= FEW and not np.isnan(values).any():
+    if (n := len(values[models[0].label])) >= FEW:
         shares = np.full(n, 1.0 / n)
         drawn = np.random.default_rng(seed).multinomial(n, shares, RESAMPLES) / n
         drawn = np.vstack([shares, drawn])
-        away |= {label: drawn @ row - row.mean() for label, row in zip(tables, values)}
+        away |= {label: drawn @ row - row.mean() for label, row in values.items() if len(row) == n}
     return away

@@ -22,8 +22,6 @@ clip.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import os
@@ -38,8 +36,9 @@ from typing import Any
 
 import numpy as np
 
-from audio_features.archive import read_bytes
 from gesturekit.errors import EvaluationError
+from gesturekit.evaluation.pairs import grouped
+from gesturekit.formats.tables import csv_rows
 from gesturekit.wording import counted, did_you_mean, listed, printable
 
 GENEA_COLUMNS = (
@@ -243,10 +242,9 @@ def _read(paths: Sequence[str | os.PathLike[str]], failed_checks: int | None) ->
     """Return votes as answers, or ratings as `Answers.ratings` alone."""
     files = _csv_files(paths)
     raters: _Raters = ({}, {})
-    _, header = next(_lines(files[0]), (1, []))
     answers: list[Answer] = []
     ratings = None
-    if {"model_a", "model_b"} & {*header}:
+    if {"model_a", "model_b"} & {*_header(files[0])[1]}:
         answers, notes = _read_votes(files, raters)
     else:
         ratings, notes = _read_sliders(files, raters)
@@ -275,16 +273,15 @@ def _read_votes(files: Sequence[Path], raters: _Raters) -> tuple[list[Answer], l
     seen: dict[tuple[tuple[str, str], ...], Path] = {}
     sessions: dict[tuple[str, str], set[str]] = defaultdict(set)
     repeated = unsaid = 0
-    for path in files:
-        for where, row in _rows(path, _vote_columns):
-            if seen.setdefault(tuple(sorted(row.items())), path) != path:
-                repeated += 1
-                continue
-            answer = _answer(row, where)
-            answers.append(answer)
-            _add_rater(raters, answer.user, row, where)
-            sessions[answer.user, row.get("study", "")].add(row.get("finished", ""))
-            unsaid += answer.score != 0 and row["is_strong"].lower() in _EMPTY
+    for path, where, row in _rows(files, _vote_columns):
+        if seen.setdefault(tuple(sorted(row.items())), path) != path:
+            repeated += 1
+            continue
+        answer = _answer(row, where)
+        answers.append(answer)
+        _add_rater(raters, answer.user, row, where)
+        sessions[answer.user, row.get("study", "")].add(row.get("finished", ""))
+        unsaid += answer.score != 0 and row["is_strong"].lower() in _EMPTY
     kept = [answer for answer in answers if answer.left != answer.right]
     same = len(answers) - len(kept)
     twice = dict.fromkeys(printable(user) for (user, _), ends in sessions.items() if len(ends) > 1)
@@ -302,22 +299,21 @@ def _read_sliders(files: Sequence[Path], raters: _Raters) -> tuple[Ratings, list
     """Return ratings, and notes on lines that were left out."""
     columns: tuple[list[str], ...] = ([], [], [], [])
     values, seconds, empty = array("d"), array("d"), 0
-    for path in files:
-        for where, row in _rows(path, _rating_columns):
-            if row["value"].lower() in _MISSING:
-                empty += 1
-                continue
-            names = [_cell(row, name, where) for name in ("system", "rater", "clip")]
-            for column, name in zip(columns, (*names, row.get("question", "")), strict=True):
-                column.append(sys.intern(name))
-            values.append(_cell(row, "value", where))
-            seconds.append(_cell(row, "seconds", where))
-            _add_rater(raters, names[1], row, where)
+    for _, where, row in _rows(files, _rating_columns):
+        if row["value"].lower() in _MISSING:
+            empty += 1
+            continue
+        names = [_cell(row, name, where) for name in ("system", "rater", "clip")]
+        for column, name in zip(columns, (*names, row.get("question", "")), strict=True):
+            column.append(sys.intern(name))
+        values.append(_cell(row, "value", where))
+        seconds.append(_cell(row, "seconds", where))
+        _add_rater(raters, names[1], row, where)
     units = _names_and_places(columns)
     if (n := len(units["questions"])) > _MOST_QUESTIONS:
         raise EvaluationError(
-            f"{path}: {n} different questions, and no study has more than {_MOST_QUESTIONS}; is it "
-            "a column of free text?"
+            f"{files[-1]}: {n} different questions, and no study has more than {_MOST_QUESTIONS}; "
+            "is it a column of free text?"
         )
     ratings = Ratings(**units, value=np.array(values), seconds=np.array(seconds))
     table = np.stack([ratings.system, ratings.rater, ratings.clip, ratings.question, values])
@@ -355,10 +351,9 @@ def _comparisons(ratings: Ratings) -> tuple[Answer, ...]:
     Raises:
         EvaluationError: no rater rated two systems for a clip, or too many.
     """
-    pages: dict[tuple[int, ...], list[int]] = defaultdict(list)
     units = (ratings.rater, ratings.clip, ratings.question)
-    for place, page in enumerate(zip(*(unit.tolist() for unit in units), strict=True)):
-        pages[page].append(place)
+    each = zip(*(unit.tolist() for unit in units), strict=True)
+    pages = grouped((page, place) for place, page in enumerate(each))
     if (n := sum(len(places) * (len(places) - 1) // 2 for places in pages.values())) > _MOST_PAIRS:
         raise EvaluationError(
             f"{n} comparisons of two systems that a rater rated for a clip: more than can be "
@@ -403,47 +398,29 @@ def _csv_files(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
     return list({os.path.realpath(file): file for _, files in found for file in files}.values())
 
 
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of each line of a CSV file, separated by commas, semicolons or tabs.
-
-    Raises:
-        EvaluationError: the file cannot be read, is larger than 200 MiB, or no CSV in UTF-8.
-    """
-    content = read_bytes(path, _MOST_BYTES, EvaluationError)
-    try:
-        text = io.StringIO(content.decode("utf-8-sig"), newline="")
-        # Spreadsheets of some countries separate by semicolons, others save tabs.
-        reader = csv.reader(text, strict=True, delimiter=max(",;\t", key=text.readline().count))
-        text.seek(0)
-        for cells in reader:
-            yield reader.line_num, [cell.strip() for cell in cells]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise EvaluationError(f"{path}: not a CSV file in UTF-8 ({error})") from None
+def _header(path: Path) -> tuple[Iterator[tuple[str, list[str]]], list[str]]:
+    """Return the lines below the header of a CSV file, as `csv_rows` gives them, and the header."""
+    lines = csv_rows(path, EvaluationError, _MOST_BYTES)
+    return lines, next(lines, ("", []))[1]
 
 
 def _rows(
-    path: Path, columns: Callable[[Path, list[str]], Sequence[str]]
-) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield (file and line, {column: text}) of the lines below the header that are not empty.
+    files: Sequence[Path], columns: Callable[[Path, list[str]], Sequence[str]]
+) -> Iterator[tuple[Path, str, dict[str, str]]]:
+    """Yield (file, file and line, {column: text}) of the lines of files below their headers.
 
     Args:
-        path: the file.
-        columns: called with the file and its header; refuses it, or returns names for its columns.
+        files: the CSV files.
+        columns: called with a file and its header; refuses it, or returns names for its columns.
 
     Raises:
-        EvaluationError: a line with another number of cells than the header.
+        EvaluationError: a file that cannot be read, is larger than 200 MiB, or no CSV in UTF-8.
     """
-    lines = _lines(path)
-    _, header = next(lines, (1, []))
-    names = columns(path, header)
-    for number, cells in lines:
-        if any(cells) and len(cells) != len(header):
-            raise EvaluationError(
-                f"{path}, line {number}: {counted(len(cells), 'cell')}, but the header has "
-                f"{len(header)}"
-            )
-        if any(cells):
-            yield f"{path}, line {number}", dict(zip(names, cells, strict=True))
+    for path in files:
+        lines, header = _header(path)
+        names = columns(path, header)
+        for where, cells in lines:
+            yield path, where, dict(zip(names, cells, strict=True))
 
 
 def _vote_columns(path: Path, header: list[str]) -> list[str]:

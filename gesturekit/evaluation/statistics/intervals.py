@@ -71,8 +71,8 @@ class Takes:
         n = len(takes)
         names = [""] * n if speakers is None else [name or "" for name in speakers]
         pieces = range(n) if clips is None else clips
-        found, take = np.unique([list(at) for at in zip(names, takes)], axis=0, return_inverse=True)
-        take = take.ravel()
+        named = np.array([*zip(names, takes)], str).reshape(n, 2)
+        found, take = np.unique(named, axis=0, return_inverse=True)
         _, clip = np.unique([f"{t}\0{c}" for t, c in zip(take, pieces)], return_inverse=True)
         weights = np.zeros((len(found), n))
         weights[take, np.arange(n)] = 1.0 / np.bincount(clip)[clip]
@@ -298,21 +298,12 @@ def whole_set(value: float, n: int) -> Interval:
     return Interval(value, None, None, n, 1, "the whole set")
 
 
-def p_value(difference: float, error: float, free: int) -> float:
-    """Return the two-sided p-value of a difference by Student's t with `free` degrees."""
-    from scipy.stats import t
-
-    if error < 1e-12 * max(abs(difference), 1e-12):
-        return 1.0 if abs(difference) < 1e-12 else 0.0
-    return float(2.0 * t.sf(abs(difference) / error, free))
-
-
-def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
+def holm(p: Sequence[float | None]) -> np.ndarray:
     """Return p-values (K,) adjusted for K tests by Holm's step-down procedure (1979).
 
-    NaN stays NaN and is not counted.
+    NaN stays NaN and is not counted; None becomes NaN.
     """
-    adjusted = np.asarray(p, np.float64).copy()
+    adjusted = np.array(p, np.float64)
     order = np.argsort(adjusted)[: np.count_nonzero(~np.isnan(adjusted))]
     stepped = np.maximum.accumulate(adjusted[order] * np.arange(len(order), 0, -1))
     adjusted[order] = np.minimum(stepped, 1.0)

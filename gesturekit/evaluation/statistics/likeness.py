@@ -17,7 +17,6 @@ person.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,21 +57,6 @@ Credits = dict[str, float]
 """{aspect: credit}"""
 
 
-@dataclass(frozen=True)
-class Relative:
-    """A motion beside the speaker, both compared with the same recordings.
-
-    Attributes:
-        value: likeness, 0 to 1.
-        own: the speaker's own score, 0 to 1.
-        aspects: {aspect: credit over the speaker's own, at most 1}.
-    """
-
-    value: float
-    own: float
-    aspects: Mapping[str, float]
-
-
 def credits(ours: Mapping[str, float], theirs: Mapping[str, float]) -> Credits:
     """Return the credit of each aspect that is known, 0 to 1.
 
@@ -98,11 +82,15 @@ def score(found: Mapping[str, float]) -> float:
     return float(np.prod(sides) ** (1.0 / len(sides)))
 
 
-def relative(ours: Mapping[str, float], own: Mapping[str, float]) -> Relative | None:
-    """Return the likeness of a motion whose credits are known beside the speaker's own.
+def relative(ours: Mapping[str, float], own: Mapping[str, float]) -> GroupLikeness | None:
+    """Return the likeness of a motion to the speaker, both compared with the same recordings.
 
     An aspect that only the speaker has, such as the contrast of hands that never move, has the
     credit 0. None without any aspect.
+
+    Args:
+        ours: credits of the motion.
+        own: credits of the speaker's own recordings.
     """
     if not own:
         return None
@@ -111,7 +99,7 @@ def relative(ours: Mapping[str, float], own: Mapping[str, float]) -> Relative | 
         aspect: max(capped[aspect], LEAST_CREDIT) / max(credit, LEAST_CREDIT)
         for aspect, credit in own.items()
     }
-    return Relative(score(capped) / score(own), score(own), shares)
+    return GroupLikeness("", (), score(capped) / score(own), score(own), shares)
 
 
 def _credit(key: str, ours: float, theirs: float | None) -> float:

@@ -89,17 +89,10 @@ def metric_results(
             floors=(Level(TRAINING, 0.0, None, 0),),
         )
         found["copying"] = replace(copying, ceiling=None)
-    for metric, keys in _OF_SPEECH.items():
-        if metric in found and not above_chance(clips, metric):
-            found |= {k: replace(found[k], informative=False) for k in keys if k in found}
-    cca = found.get("cca")
-    if cca is not None and cca.recording is not None and cca.recording > SATURATED:
-        found["cca"] = replace(cca, informative=False)
-    if sum(clip.seconds for clip in clips) < ENOUGH_SECONDS:
-        few = [key for key in found if DEFINITIONS[key].group == PATCHES]
-        found |= {key: replace(found[key], informative=False) for key in few}
+    for key in _not_informative(clips, found) & found.keys():
+        found[key] = replace(found[key], informative=False)
     if "in_time" in found:
-        own, other = (_by_take(clips, key) for key in ("in_time", OTHER_SOUND))
+        own, other = (by_take(clips, key) for key in ("in_time", OTHER_SOUND))
         floors = [level_of(OTHER_UTTERANCE, other)] if len(other) else []
         found["in_time"] = replace(
             found["in_time"],
@@ -107,6 +100,19 @@ def metric_results(
             floors=(*floors, Level(MEAN_POSE, 0.0, None, 0)),
         )
     return found if likeness is None else {**found, "likeness": likeness}
+
+
+def _not_informative(clips: Sequence[ClipResult], found: Mapping[str, MetricResult]) -> set[str]:
+    """Return metrics that tell nothing of these recordings: by chance, saturated or too short."""
+    keys: set[str] = set()
+    for metric, of_speech in _OF_SPEECH.items():
+        if metric in found and not above_chance(clips, metric):
+            keys.update(of_speech)
+    if "cca" in found and (found["cca"].recording or 0.0) > SATURATED:
+        keys.add("cca")
+    if sum(clip.seconds for clip in clips) < ENOUGH_SECONDS:
+        keys.update(key for key in found if DEFINITIONS[key].group == PATCHES)
+    return keys
 
 
 def above_chance(clips: Sequence[ClipResult], metric: str, *, of_recordings: bool = True) -> bool:
@@ -171,10 +177,10 @@ def _mean(values: Iterable[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def level_of(name: str, values: Sequence[float] | np.ndarray, *, pieces: bool = False) -> Level:
+def level_of(name: str, values: Sequence[float] | np.ndarray) -> Level:
     """Return the mean and the spread of one value a take."""
     spread = float(np.std(values, ddof=1)) if len(values) > 1 else None
-    return Level(name, float(np.mean(values)), spread, len(values), pieces)
+    return Level(name, float(np.mean(values)), spread, len(values))
 
 
 def level_name(level: Level) -> str:
@@ -233,12 +239,10 @@ def _differ(ceiling: Level, floor: Level) -> bool:
     return bool(gap > t.ppf(LEVEL, free) * np.sqrt(variance * means))
 
 
-def _by_take(clips: Sequence[ClipResult], key: str, *, generated: bool = False) -> np.ndarray:
+def by_take(clips: Sequence[ClipResult], key: str, *, generated: bool = False) -> np.ndarray:
     """Return the means by take of a metric of the recordings (or clips) that have it."""
     sides = [(clip.pair, clip.metrics if generated else clip.recording) for clip in clips]
     known = [(pair, values[key]) for pair, values in sides if key in values]
-    if not known:
-        return np.empty(0)
     return Takes.of([pair for pair, _ in known]).means([value for _, value in known])
 
 
@@ -254,7 +258,7 @@ def add_floors(models: Sequence[ModelResult]) -> None:
     so is likeness from few seconds.
     """
     blind = {
-        model.label: level_of(model.label, _by_take(model.clips, "in_time", generated=True))
+        model.label: level_of(model.label, by_take(model.clips, "in_time", generated=True))
         for model in models
         if model.label in _BLIND and "in_time" in model.metrics
     }

@@ -11,23 +11,25 @@ the recordings' own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gesturekit.evaluation.definitions import DEFINITIONS, Definition
+from gesturekit.evaluation.pairs import grouped
 from gesturekit.evaluation.results import ClipResult, MetricResult, ModelResult
 from gesturekit.evaluation.statistics.intervals import (
     FEW,
     LEVEL,
     Takes,
     holm,
-    p_value,
     pseudo_values,
     standard_error,
 )
 from gesturekit.evaluation.statistics.likeness import pseudo_values_of
+from gesturekit.evaluation.statistics.model_metrics import by_take
 
 NEARER = 0.75
 """Smallest confidence with which the best model must be nearer to the recordings."""
@@ -81,7 +83,7 @@ def contests(
         if known:
             results = tuple(model.metrics.get(key) for model in models)
             rows[key] = Row(definition, results, own, distances, direction, p=p)
-    adjusted = holm([np.nan if row.p is None else row.p for row in rows.values()]).tolist()
+    adjusted = holm([row.p for row in rows.values()]).tolist()
     for (key, row), p in zip([*rows.items()], adjusted, strict=True):
         if row.p is not None:
             best = min(row.distances, key=row.distances.__getitem__) if p < 1.0 - LEVEL else None
@@ -135,8 +137,8 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
         distances = [-side for side in values]
         speakers = np.unique([group for group, _ in takes], return_inverse=True)[1]
     else:
-        sides = _in_common(key, one, other)
-        speakers = Takes.of([clip.pair for clip in sides[0]]).speakers if sides[0] else np.empty(0)
+        sides = in_common(key, one, other)
+        speakers = Takes.of([clip.pair for clip in sides[0]]).speakers
         if len(speakers) < FEW:
             return None
         found = [_take_values(key, m, clips) for m, clips in zip((one, other), sides, strict=True)]
@@ -146,13 +148,9 @@ def _difference(key: str, one: ModelResult, other: ModelResult) -> float | None:
     return p if p is None or (farther is not None and farther <= 1.0 - NEARER) else 1.0
 
 
-def _in_common(key: str, *models: ModelResult) -> list[list[ClipResult]]:
+def in_common(key: str, *models: ModelResult) -> list[list[ClipResult]]:
     """Return models' clips of the recordings of which each clip of all models has the value."""
-    found: list[dict[str, list[ClipResult]]] = []
-    for model in models:
-        found.append({})
-        for clip in model.clips:
-            found[-1].setdefault(clip.pair.stem, []).append(clip)
+    found = [grouped((clip.pair.stem, clip) for clip in model.clips) for model in models]
     stems = sorted(
         stem for stem in set.intersection(*map(set, found))
         if all(key in clip.metrics for clips in found for clip in clips[stem])
@@ -167,13 +165,11 @@ def _take_values(
 
     The distances are pseudo-values of the jackknife.
     """
-    takes = Takes.of([clip.pair for clip in clips])
-    ours = takes.means([clip.metrics[key] for clip in clips])
-    theirs = np.full(len(ours), model.metrics[key].recording)
-    if all(key in clip.recording for clip in clips):
-        theirs = takes.means([clip.recording[key] for clip in clips])
+    ours, theirs = by_take(clips, key, generated=True), by_take(clips, key)
+    if not all(key in clip.recording for clip in clips):
+        theirs = np.full(len(ours), model.metrics[key].recording)
     return ours, pseudo_values(
-        lambda weights: distance(key, weights @ ours, weights @ theirs), takes.count
+        lambda weights: distance(key, weights @ ours, weights @ theirs), len(ours)
     )
 
 
@@ -191,14 +187,17 @@ def p_of_difference(
     Returns:
         None with too few takes; see `gesturekit.evaluation.statistics.intervals`.
     """
-    difference = one - other
-    error = standard_error(difference, speakers)
-    if error is None:
+    from scipy.stats import t
+
+    found = standard_error(one - other, speakers)
+    if found is None:
         return None
-    two_sided = p_value(float(difference.mean()), *error)
-    if not above:
-        return two_sided
-    return two_sided / 2.0 if difference.mean() > 0.0 else 1.0 - two_sided / 2.0
+    mean, (error, free) = float((one - other).mean()), found
+    if error >= 1e-12 * max(abs(mean), 1e-12):
+        statistic = mean / error
+    else:  # all takes agree
+        statistic = 0.0 if abs(mean) < 1e-12 else math.copysign(math.inf, mean)
+    return float(t.sf(statistic, free) if above else 2.0 * t.sf(abs(statistic), free))
 
 
 def _chance(key: str, model: ModelResult) -> float:

@@ -191,26 +191,20 @@ def scores_of(ratings: Ratings, kept: np.ndarray, systems: Sequence[str], seed: 
         systems: systems in the wanted order; those without any rating are left out.
         seed: seed of the bootstrap.
     """
-    at = {name: index for index, name in enumerate(ratings.systems)}
-    has = set(ratings.system[kept].tolist())
-    names = tuple(name for name in systems if at.get(name) in has)
-    places = np.zeros(len(at), int)
-    places[[at[name] for name in names]] = range(len(names))
-    system = places[ratings.system[kept]]
+    given = np.array(ratings.systems, object)[ratings.system[kept]]
+    names = tuple(name for name in systems if name in given)
+    of_system = (given[:, None] == np.array(names, object)).astype(float)
+    system = of_system.argmax(axis=1)
     rater, clip = (
         np.unique(column[kept], return_inverse=True)[1] for column in (ratings.rater, ratings.clip)
     )
     values, note = ratings.value[kept].astype(float), ""
     if not ratings.paired:
         values, note = _without_raters_and_clips(values, system, rater, clip)
-    order, ends = np.argsort(system, kind="stable"), np.cumsum(np.bincount(system))[:-1]
-    given = np.split(values[order], ends)
     resampled = []
-    for weights in resampled_weights(rater[order], clip[order], RESAMPLES, seed, len(values)):
-        parts = zip(np.split(weights, ends, axis=1), given, strict=True)
+    for weights in resampled_weights(rater, clip, RESAMPLES, seed, len(values)):
         with np.errstate(invalid="ignore"):
-            means = [part @ of_system / part.sum(axis=1) for part, of_system in parts]
-        resampled.append(np.stack(means, axis=1))
+            resampled.append(weights @ (of_system * values[:, None]) / (weights @ of_system))
     p = []
     for one, other in combinations(range(len(names)), 2):
         rows = (system == one) | (system == other)
