@@ -210,7 +210,7 @@ def _without_interval(evaluation: Evaluation, rows: list[Row]) -> list[str]:
     bare = [
         row.definition.name
         for row in rows
-        if any(f.interval.low is None and f.informative for f in row.known)
+        if {result.interval.low is None for result in row.known if result.informative} == {True}
     ]
     if not bare or len(bare) == len(rows) or any(interval_warnings(evaluation)):
         return []

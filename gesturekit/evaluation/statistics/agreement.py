@@ -86,8 +86,12 @@ def conclusion(found: QuestionAgreement) -> str:
         if p < 1.0 - LEVEL:
             side = "as people do" if tau > 0 else "the other way round"
             sides[side].append(DEFINITIONS[key].name)
-    if certain := [f"{listed(names)} {side}" for side, names in sides.items() if names]:
-        return f"Established{about}: ordered {' and '.join(certain)} (Holm, {len(tested)} metrics)."
+    certain = [
+        f"{listed(names)} order{'s' if len(names) == 1 else ''} the models {side}"
+        for side, names in sides.items() if names
+    ]  # fmt: skip
+    if certain:
+        return f"Established{about} (Holm, {len(tested)} metrics): {'; '.join(certain)}."
     models = len(found.scores.keys() - {RECORDING})
     return (
         f"No metric is established{about}: of {counted(len(tested), 'metric')}, none orders the "
