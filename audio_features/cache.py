@@ -10,10 +10,11 @@ import logging
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from audio_features.atomic import atomic_write
 from audio_features.errors import AudioFeaturesError
@@ -32,6 +33,7 @@ MAX_BYTES = 20 * 10**9
 _PART = ".part"  # suffix of an entry that is being written
 _STALE_SECONDS = 3600  # a temporary file older than this was left by a process that was killed
 
+_T = TypeVar("_T")
 log = logging.getLogger(__name__)
 
 
@@ -83,27 +85,29 @@ class DiskCache:
         """Return the file of an entry: `kind` of `KINDS`, `key` a hexadecimal digest."""
         return self.folder / kind / key[:2] / key
 
-    def read(self, kind: str, key: str) -> bytes | None:
+    def read(self, kind: str, key: str, decode: Callable[[bytes], _T]) -> _T | None:
         """Return an entry and mark it as used; None, and a warning if it is damaged."""
         path = self.path(kind, key)
         try:
+            if path.stat().st_size > self.max_bytes:
+                raise ValueError("it is larger than the whole cache")
             with path.open("rb") as file:
                 checksum, data = file.read(hashlib.sha256().digest_size), file.read()
+            if checksum != hashlib.sha256(data).digest():
+                raise ValueError("its checksum is wrong")
+            value = decode(data)
         except FileNotFoundError:
             return None
-        except OSError as error:
+        except Exception as error:  # whatever a decoder raises
             log.warning("%s: damaged (%s); it is computed again", path, error)
-            return None
-        if checksum != hashlib.sha256(data).digest():
-            log.warning("%s: damaged (its checksum is wrong); it is computed again", path)
             return None
         with contextlib.suppress(OSError):  # another user's entry, or a read-only disk
             os.utime(path)
-        return data
+        return value
 
     def write(self, kind: str, key: str, data: bytes) -> None:
         """Store an entry, unless it is larger than the limit."""
-        if len(data) > self.max_bytes:
+        if len(data) + hashlib.sha256().digest_size > self.max_bytes:
             return
         try:
             written = atomic_write(self.path(kind, key), suffix=_PART)
@@ -234,11 +238,14 @@ class FeatureCache(DiskCache):
         }
         text = json.dumps(made_of, sort_keys=True, allow_nan=False)
         key = hashlib.sha256(text.encode()).hexdigest()
-        data = self.read(KINDS[0], key)
-        if data is not None:
+
+        def decode(data: bytes) -> FeatureTrack:
             return FeatureTrack(**load(data), spec=extractor.spec, names=extractor.names)
-        track = extractor.extract(wave)
-        self.write(KINDS[0], key, save({"values": track.values, "times": track.times}))
+
+        track = self.read(KINDS[0], key, decode)
+        if track is None:
+            track = extractor.extract(wave)
+            self.write(KINDS[0], key, save({"values": track.values, "times": track.times}))
         return track
 
 

@@ -27,6 +27,7 @@ from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics, ReferenceS
 from gesturekit.evaluation.measuring.clips import (
     LENGTH_TOLERANCE,
     RETARGETED,
+    SHORTER,
     forget_files,
     load_clip,
     without_namespace,
@@ -430,7 +431,7 @@ def _mark_unlike(models: Sequence[ModelResult]) -> None:
                 "recording: they were retargeted to it before they were measured, and feet and "
                 "reach are partly those of the retargeting"
             )
-        short = sum("shorter than" in note for clip in model.clips for note in clip.notes)
+        short = sum(SHORTER in note for clip in model.clips for note in clip.notes)
         if short > len(model.clips) / 2:
             model.notes.append(
                 f"{short} of {counted(len(model.clips), 'clip')} are shorter than their "

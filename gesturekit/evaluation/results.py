@@ -329,7 +329,7 @@ class ModelResult:
     Attributes:
         label: name of the model.
         path: its folder.
-        verdict: the result in words, one line; "" without pooled metrics and sync.
+        verdict: the result in words, one line; "" where nothing is known that it could say.
         answers: answers to the three questions that head the report.
         metrics: {key of `definitions`: result}.
         by_recording: {recording: {key: interval over its samples}} of the patch metrics.

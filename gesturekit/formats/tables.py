@@ -55,7 +55,8 @@ def csv_rows(
     header: list[str] = []
     try:
         text = io.StringIO(read_bytes(path, most, error).decode("utf-8-sig"), newline="")
-        rows = csv.reader(text, strict=True, delimiter=max(",;\t", key=text.readline().count))
+        header_line = next(filter(str.strip, text), "")
+        rows = csv.reader(text, strict=True, delimiter=max(",;\t", key=header_line.count))
         text.seek(0)
         for row in rows:
             cells, where = [cell.strip() for cell in row], f"{path}, line {rows.line_num}"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gesturekit.corpus.pairing import scan
 from gesturekit.errors import ConfigError
-from gesturekit.evaluation.pairs import file_of, grouped
+from gesturekit.evaluation.pairs import grouped
 from gesturekit.formats.sources import visible_folders
 from gesturekit.study.config import StudyConfig
 from gesturekit.wording import counted, listed
@@ -114,7 +114,8 @@ def _sounds(config: StudyConfig, keys: Iterable[str]) -> dict[str, Path]:
             raise ConfigError("audio: the design mismatch needs a folder of speech for motions")
         return {}
     speech = {item.key: item.path for item in scan(config.audio)[0] if item.is_speech}
-    found = {key: file_of(key, speech, None) for key in keys}
+    stems = _by_stem(speech)
+    found = {key: speech.get(key) or stems.get(key.rpartition("/")[2]) for key in keys}
     missing = [key for key, path in found.items() if path is None]
     if len(missing) == len(found):
         raise ConfigError(

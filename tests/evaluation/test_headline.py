@@ -99,7 +99,7 @@ def test_a_model_at_chance_is_not_in_time_and_an_uninformative_recording_says_no
     sure = replace(unsure, interval=replace(unsure.interval, low=0.1, high=1.2))
     assert states(clips(), in_time=sure)["in_time"][0] == "partly"
     assert states(clips())["in_time"][0] == "not measured"
-    assert "--audio" in states(clips())["in_time"][1]
+    assert "no sound" in states(clips())["in_time"][1]
     assert states(clips())["novelty"][0] == "not measured"
 
 

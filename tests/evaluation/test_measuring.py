@@ -87,6 +87,8 @@ def test_the_part_of_a_file_that_an_item_is_counts(folders, measured, gesture):
 
     assert added() > 0 and added() == added(text="other words") == 0
     assert added(motion_start=2.0) > 0 and added(duration=0.8) > 0 and added(mirror=True) > 0
+    # Training motion of the same speaker is chosen by name, and names stand in the result.
+    assert added(speaker="ann") > 0 and added(speaker="maya") > 0
 
 
 def test_damaged_entries_are_measured_again(folders, measured, caplog):

@@ -162,6 +162,14 @@ def test_a_root_a_quarter_leg_below_the_hips_is_a_still_marker(moving_person, he
         np.testing.assert_allclose(large.positions() / 100, own.positions(), atol=1e-6)
 
 
+def test_offsets_of_hips_that_move_are_no_rest_pose(moving_person):
+    """Files whose hips move below a marker may have any place of them as the offset."""
+    rooted = below_a_root(moving_person.skeleton, 0.9)
+    made = retarget(moving_person, rooted)
+    other = with_offsets(rooted, Hips=(2.0, 0.9, 0.3))
+    np.testing.assert_allclose(retarget(made, other).rotations, made.rotations, atol=1e-6)
+
+
 def test_a_root_above_the_hips_turns_with_the_body(moving_person):
     """As of rigs whose first joint carries the hips: programs read the heading from it."""
     rooted = below_a_root(moving_person.skeleton, 0.05)

@@ -45,6 +45,8 @@ MATCHED = 0.5
 """Rigs match if at least this fraction of the recording's body joints is found by name."""
 SAME_BONES = 0.05
 """Largest relative difference of the bones of one body."""
+SHORTER = "shorter than"
+"""Words of a note on a clip that ends before its recording."""
 RETARGETED = "another rig: retargeted to the recording's before it was measured"
 """Note on a clip."""
 
@@ -248,7 +250,7 @@ def clip_notes(clip: Clip, wanted: float = 1.0) -> list[str]:
     gap = clip.generated.duration - wanted * clip.recording.duration
     if abs(gap) > max(LENGTH_TOLERANCE, 1.5 / fps):
         what = "its recording" if wanted == 1.0 else f"{wanted:g} times its recording"
-        notes.append(f"{abs(gap):.2f} s {'longer' if gap > 0 else 'shorter'} than {what}")
+        notes.append(f"{abs(gap):.2f} s {'longer than' if gap > 0 else SHORTER} {what}")
     scale = body_scale(clip.generated.skeleton)
     fastest = joint_speed(clip.generated, clip.joints).max(axis=1)
     still = float((fastest < STILL * scale).mean())

@@ -201,7 +201,9 @@ class Measurer:
         if POOLED not in self.measure.groups:
             return None
         of_set = self._key((label, None))
-        key = of_set and self._key_of(["likeness", of_set], list(self.itself.values()))
+        every = list(self.itself.values())
+        names = [(pair.speaker, pair.take, pair.style) for pair in every]  # stand in the result
+        key = of_set and self._key_of(["likeness", of_set, names], every)
         kind = list[MetricResult]
         found = self._once(key, kind, lambda: [*filter(None, [self._likeness(clips)])])
         return found[0] if found else None
@@ -227,7 +229,9 @@ class Measurer:
             sounds, motions = self._others[target]
             others = [*(sound for sound, _ in sounds), *motions]
             return self._key_of([w for _, w in sounds], [self.pairs[label][index]], others)
-        what = ["set", self.features and self.features.fingerprint, self.seed]
+        speakers = [pair.speaker for pair in self.pairs[label]]
+        speakers += [item.speaker for item in self.training]
+        what = ["set", self.features and self.features.fingerprint, self.seed, speakers]
         others = [*self.training, *self.recordings.values()]
         return self._key_of(what, self.pairs[label], others)
 
@@ -260,8 +264,7 @@ class Measurer:
 
     def _read(self, key: str | None) -> Any | None:
         """Return a stored measurement, or None if it is not stored or damaged."""
-        data = None if key is None else self._disk.read(_KIND, key)
-        return None if data is None else json.loads(data)
+        return None if key is None else self._disk.read(_KIND, key, json.loads)
 
     def _write(self, key: str | None, values: Any) -> None:
         """Store a measurement, if it has a key."""

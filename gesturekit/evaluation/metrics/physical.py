@@ -569,9 +569,9 @@ def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
 
 
 def worst_joint(motion: Motion, limits: JointLimits) -> float:
-    """Return the fraction of frames in which one joint is far (`FAR`) beyond the limits, 0 to 1.
+    """Return the largest fraction of frames, over joints, in which one is far beyond its limits.
 
-    The joint is the one that is so most often: a head that is turned round is one of many joints.
+    Far is `FAR` or more; 0 to 1. A head that is turned round is one of many joints.
 
     Raises:
         MotionError: the motion lacks a joint of the limits.
@@ -587,7 +587,7 @@ def worst_joint(motion: Motion, limits: JointLimits) -> float:
         >>> worst_joint(gk.Motion(rig, turns, np.zeros((40, 3)), 30), limits)
         0.25
     """
-    return float(_beyond(motion, limits, FAR).mean(axis=0).max())
+    return float(_beyond(motion, limits, FAR).mean(axis=0).max(initial=0.0))
 
 
 def _beyond(motion: Motion, limits: JointLimits, margin: float = 0.0) -> np.ndarray:

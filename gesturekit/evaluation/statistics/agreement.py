@@ -29,6 +29,8 @@ from gesturekit.wording import counted, listed, printable
 
 RECORDING = "recording"
 """Name by which a study may have the recordings themselves among its systems."""
+_FOR_ANSWERS = ("sync_lag", "worst_joint")
+"""Metrics that the answers alone need: each metric that is correlated makes the tests stricter."""
 LEAST = 3
 """Least number of systems; two can only agree or disagree."""
 LEAST_FOR_INTERVAL = 6
@@ -121,7 +123,7 @@ def _of_question(
 ) -> QuestionAgreement:
     """Return the agreement of all metrics with the scores for one question."""
     metrics = []
-    for key in DEFINITIONS:
+    for key in (key for key in DEFINITIONS if key not in _FOR_ANSWERS):
         values = metric_values(models, key, scores.systems, seed)
         kept = np.array([i for i, name in enumerate(scores.systems) if name in values], int)
         if len(kept) < LEAST or np.ptp(scores.values[kept]) == 0:

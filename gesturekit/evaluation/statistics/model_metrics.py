@@ -47,7 +47,11 @@ SYNC_SECONDS = 0.4
 """Seconds of arm speed that count as one independent value: the standard deviation of sync over
 shifts of a short clip is too small."""
 
-_OF_SPEECH = {"sync": ("sync", "sync_z", "in_time"), "bas": ("bas", "bas_z"), "bc": ("bc", "bc_z")}
+_OF_SPEECH = {
+    "sync": ("sync", "sync_z", "sync_lag", "in_time"),
+    "bas": ("bas", "bas_z"),
+    "bc": ("bc", "bc_z"),
+}
 
 
 def metric_results(

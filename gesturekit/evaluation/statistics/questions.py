@@ -120,11 +120,13 @@ def _ratio(metrics: Results, key: str) -> float:
 
 _DEFECTS = {
     "joint_limits": (
-        *(1.0, thresholds.BEYOND_LIMITS),
+        1.0,
+        thresholds.BEYOND_LIMITS,
         "{:.0f} % of joint rotations are beyond the recordings' range",
     ),
     "worst_joint": (
-        *(1.0, thresholds.OUT_OF_JOINT),
+        1.0,
+        thresholds.OUT_OF_JOINT,
         "one joint is far beyond the recordings' range in {:.0f} % of the frames",
     ),
     "feet_above_floor": (2.0, thresholds.FLOATING, "the feet are {:.0f} mm above the floor"),
@@ -132,8 +134,8 @@ _DEFECTS = {
     "foot_skate": (2.0, thresholds.SLIDING, "the feet slide at {:.2f} m/s"),
     "bone_length_change": (2.0, thresholds.STRETCHED, "bones change their length by {:.0f} %"),
 }
-"""Metrics of a broken body: it has more than so many times the recordings' own value and so much;
-the words for it."""
+"""Metrics of a broken body: factor of the recordings' own value, what the model has more than that
+product, and the words for it."""
 
 
 def defects(metrics: Results) -> str:
@@ -165,7 +167,7 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     result = metrics.get("in_time")
     if result is None or result.recording is None:
         silent = all(clip.pair.audio is None for clip in clips)
-        what = "no sound is given (--audio)" if silent else "no speech with arms to move"
+        what = "there is no sound" if silent else "no speech with arms to move"
         return "not measured", f"Not measured: {what}."
     if not result.informative:  # the model alone is asked: is it above its own chance level?
         if no_room := _no_room(result):

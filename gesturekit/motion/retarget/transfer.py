@@ -34,7 +34,7 @@ from gesturekit.motion.ik import (
     too_high,
 )
 from gesturekit.motion.motion import Motion
-from gesturekit.motion.parts import SIDES
+from gesturekit.motion.parts import SIDES, find_parts
 from gesturekit.motion.parts.body_size import body_scale
 from gesturekit.motion.resampling import smoothstep
 from gesturekit.motion.retarget.body_frames import (
@@ -164,7 +164,7 @@ class Transfer:
     def __call__(self, motion: Motion) -> Motion:
         """Return the motion on the target rig; errors as for `retarget`."""
         skeleton, rig = self._skeleton, motion.skeleton
-        same = _is_one_rig(skeleton, rig)
+        same = _is_one_rig(motion, skeleton)
         source = self._source or BodyFrames(rig, standing_pose(motion))
         places, turns = motion.positions(), motion.global_rotations()
         feet = _foot_motion(motion, source, places, turns) if source.parts.legs else None
@@ -319,15 +319,21 @@ class Transfer:
         return path + [0.0, self._lift, 0.0] - body
 
 
-def _is_one_rig(one: Skeleton, other: Skeleton) -> bool:
-    """Return whether two rigs have the same joints and rest pose, whatever their sizes."""
-    if (one.names, one.parents) != (other.names, other.parents):
+def _is_one_rig(motion: Motion, skeleton: Skeleton) -> bool:
+    """Return whether two rigs have the same joints and rest pose, whatever their sizes.
+
+    Offsets of joints that move, and down to the pelvis, may be those of the first frame.
+    """
+    rig = motion.skeleton
+    if (rig.names, rig.parents) != (skeleton.names, skeleton.parents):
         return False
-    bones = one.offsets[1:], other.offsets[1:]
-    lengths = np.array([np.linalg.norm(rig, axis=1) for rig in bones])
-    is_long = (lengths > _SHORT * np.array([[body_scale(one)], [body_scale(other)]])).all(axis=0)
-    cosines = np.sum(bones[0] * bones[1], axis=1) / np.maximum(np.prod(lengths, axis=0), 1e-12)
-    return bool((cosines > _ALIKE)[is_long].all())
+    pelvis = rig.index(find_parts(rig).pelvis)
+    moving = {pelvis, *rig.ancestors(pelvis), *map(rig.index, motion.joint_translations)}
+    bones = [j for j in range(rig.n_joints) if j not in moving]
+    own, wanted = (one.offsets[bones] / body_scale(one) for one in (rig, skeleton))
+    lengths = np.linalg.norm(own, axis=1), np.linalg.norm(wanted, axis=1)
+    is_long = np.minimum(*lengths) > _SHORT
+    return bool(((own * wanted).sum(axis=1) > _ALIKE * np.prod(lengths, axis=0))[is_long].all())
 
 
 def _world_rotations(
