@@ -164,10 +164,17 @@ def test_a_root_a_quarter_leg_below_the_hips_is_a_still_marker(moving_person, he
 
 def test_offsets_of_hips_that_move_are_no_rest_pose(moving_person):
     """Files whose hips move below a marker may have any place of them as the offset."""
-    rooted = below_a_root(moving_person.skeleton, 0.9)
-    made = retarget(moving_person, rooted)
+    person, turns = moving_person.skeleton, moving_person.rotations
+    head, jaw = person.index("Head"), np.array([[0.0, 0.05, 0.05]])
+    jawed = Skeleton((*person.names, "Jaw"), (*person.parents, head),
+                     np.concatenate([person.offsets, jaw]), person.end_sites)  # fmt: skip
+    rooted = below_a_root(jawed, 0.9)
+    still = np.broadcast_to([0.0, 0.0, 0.0, 1.0], turns[:, :1].shape)
+    rotations = np.concatenate([still, turns, turns[:, head : head + 1]], axis=1)
+    moving = {"Hips": moving_person.translation}
+    motion = Motion(rooted, rotations, np.zeros((60, 3)), 30.0, moving)
     other = with_offsets(rooted, Hips=(2.0, 0.9, 0.3))
-    np.testing.assert_allclose(retarget(made, other).rotations, made.rotations, atol=1e-6)
+    np.testing.assert_allclose(retarget(motion, other).rotations, rotations, atol=1e-6)
 
 
 def test_a_root_above_the_hips_turns_with_the_body(moving_person):
