@@ -432,7 +432,7 @@ def _mark_unlike(models: Sequence[ModelResult]) -> None:
                 "reach are partly those of the retargeting"
             )
         short = sum(SHORTER in note for clip in model.clips for note in clip.notes)
-        if short > len(model.clips) / 2:
+        if short:
             model.notes.append(
                 f"{short} of {counted(len(model.clips), 'clip')} are shorter than their "
                 "recordings, which are compared as a whole"

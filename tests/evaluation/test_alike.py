@@ -49,6 +49,12 @@ def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_p
         assert result(found, 1, key) == pytest.approx(result(found, 0, key), rel=0.05), key
 
 
+def test_a_body_that_is_three_percent_larger_is_the_same_body(recordings, tmp_path):
+    own = {path.stem: Motion.load(path) for path in sorted(recordings.glob("*.bvh"))}
+    made = saved(tmp_path / "m", {name: motion.scaled(1.03) for name, motion in own.items()})
+    assert not evaluate(made, recordings, cheap=True).models[0].marks
+
+
 def test_a_body_of_the_same_size_with_other_arms_is_retargeted_to_the_recordings(
     recordings, tmp_path
 ):

@@ -88,6 +88,14 @@ def test_pieces_of_one_file_are_one_take(tmp_path, gesture, files):
         assert metrics["reach"].interval.low < metrics["reach"].interval.high
         assert metrics["reach"].recording_interval.low is not None
     assert any(interval_warnings(found)) is (files == 1)
+    # Models are named where they have other numbers of takes.
+    (model,) = found.models
+    few = [replace(model, label=name, clips=model.clips[:n]) for name, n in (("a", 1), ("b", 4))]
+    said = [*interval_warnings(replace(found, models=few))]
+    if files == 6:
+        assert [text[:3] for text in said] == ["a: ", "b: "] and "4 takes" in said[1]
+    else:
+        assert len(said) == 1 and "a" not in said[0].split(":")[0].split()
 
 
 def test_the_same_seed_gives_the_same_json_whatever_other_files_exist(

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from gesturekit.errors import EvaluationError, MotionError
-from gesturekit.evaluation import FeatureModel, PoseWindows, fgd
+from gesturekit.evaluation import FeatureModel, PoseWindows, evaluate, fgd, raw_fgd
 from gesturekit.evaluation.metrics.frechet.feature_model import PoseAutoencoder
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_euler, rotate_vectors
@@ -26,6 +26,23 @@ def clips(gesture) -> list[Motion]:
 @pytest.fixture(scope="module")
 def model(clips) -> FeatureModel:
     return FeatureModel.fit(clips, n_frames=30, steps=8, seed=1)
+
+
+def test_a_report_compares_raw_windows_with_those_of_the_extractor(gesture, clips, tmp_path):
+    model = FeatureModel.fit(clips, n_frames=20, steps=1)
+    for k, motion in enumerate(clips):
+        motion.save(tmp_path / "recorded" / f"c{k}.npz")
+        gesture(6.0, seed=10 + k).save(tmp_path / "made" / f"c{k}.npz")
+    made, recorded = (
+        [Motion.load(path) for path in sorted((tmp_path / name).iterdir())]
+        for name in ("made", "recorded")
+    )
+    (found,) = evaluate(
+        tmp_path / "made", tmp_path / "recorded", features=model, protocol="lda"
+    ).models
+    expected = raw_fgd(made, recorded, model.windows).value
+    assert found.metrics["raw_fgd"].interval.value == pytest.approx(expected)
+    assert found.metrics["fgd"].interval.value == pytest.approx(fgd(made, recorded, model).value)
 
 
 @pytest.mark.parametrize("variant", ["genea", "yoon"])

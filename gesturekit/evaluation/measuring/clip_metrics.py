@@ -280,22 +280,19 @@ class ClipMetrics:
         return list(chosen.values())
 
     def _own(self, inputs: ClipInputs) -> Values:
-        """Compute the metrics of one motion, and of it with its sound, after those of movement."""
+        """Compute the metrics of one motion, and of it with its sound."""
         found, pair = Values(), inputs.clip.pair
-        for is_movement in (True, False):
-            for definition in self._chosen("motion"):
-                if is_movement == (definition.taken_with == MOVEMENT):
-                    found.add(definition, *inputs.sources)
-            if is_movement and SPEECH in self.groups and pair.audio is not None:
-                try:
-                    self._speech(found, inputs, load_sound(pair.audio, pair.window))
-                except AudioFeaturesError as error:
-                    found.problems.append(("speech", str(error)))
+        for definition in self._chosen("motion"):
+            found.add(definition, *inputs.sources)
+        if SPEECH in self.groups and pair.audio is not None:
+            try:
+                self._speech(found, inputs, load_sound(pair.audio, pair.window))
+            except AudioFeaturesError as error:
+                found.problems.append(("speech", str(error)))
         return found
 
     def _compare(self, found: Values, inputs: ClipInputs) -> None:
-        # The metric of speech, SRGR, is last: few recordings have its track.
-        for definition in sorted(self._chosen("comparison"), key=lambda d: d.group == SPEECH):
+        for definition in self._chosen("comparison"):
             found.add(definition, *inputs.sources)
 
     def _speech(self, found: Values, inputs: ClipInputs, sound: RecordedSound) -> None:

@@ -308,7 +308,6 @@ class SetMetrics:
                 found.metrics |= metrics()
             except GestureKitError as error:
                 found.problems += [(name, str(error)) for name in names]
-        found.problems.sort(key=lambda problem: DEFINITIONS[problem[0]].group != FRECHET)
         return found
 
     def _result(
