@@ -250,6 +250,8 @@ def test_the_recordings_value_is_that_of_the_recordings_each_model_has_clips_of(
         own = less.metrics[key].recording
         assert own == pytest.approx(alone.metrics[key].recording), key
     assert whole.metrics["one_nn"].recording != pytest.approx(less.metrics["one_nn"].recording)
+    of_clips = np.mean([clip.metrics["one_nn"] for clip in whole.clips])
+    assert of_clips == pytest.approx(whole.metrics["one_nn"].interval.value, abs=0.05)
 
 
 def test_copies_are_found_mirrored_stretched_and_at_any_frame(talker):
