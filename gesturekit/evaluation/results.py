@@ -449,11 +449,16 @@ class Evaluation:
 
     def json_text(self) -> str:
         """Return `to_json` as text."""
-        return json.dumps(self.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return json_text(self.to_json())
 
     def write_json(self, path: str | os.PathLike[str]) -> None:
         """Write `to_json` to a file."""
         write_text(path, self.json_text())
+
+
+def json_text(values: Any) -> str:
+    """Return plain values as JSON that people can read, with names as they are."""
+    return json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _model(model: ModelResult) -> dict[str, Any]:

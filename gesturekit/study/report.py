@@ -29,6 +29,7 @@ from gesturekit.evaluation.report.plots import (
     svg_text,
 )
 from gesturekit.evaluation.report.text import templates
+from gesturekit.evaluation.results import json_text
 from gesturekit.evaluation.statistics.answers import Answer
 from gesturekit.evaluation.statistics.intervals import LEVEL
 from gesturekit.evaluation.statistics.scores import Estimate
@@ -232,8 +233,7 @@ def write_json(found: StudyResult, path: str | os.PathLike[str]) -> None:
         "seed": found.seed,
     }
     plain = json.loads(json.dumps(values), parse_constant=lambda _: None)  # without NaN
-    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False)
-    write_text(path, text + "\n")
+    write_text(path, json_text(plain))
 
 
 def _figures(preference: Preference) -> dict[str, Any]:

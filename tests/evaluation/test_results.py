@@ -70,6 +70,7 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
     found = evaluation(model, versions={"numpy": "1"})
     found.write_json(tmp_path / "x.json")
     text = (tmp_path / "x.json").read_text(encoding="utf-8")
+    assert '"label": "é"' in text and text.count("\n") > 100, "people read it too"
     values = json.loads(text)
     (saved,) = values["models"]
     assert {"sync", "reach"} <= set(values["definitions"])
@@ -91,6 +92,12 @@ def test_all_of_a_result_is_in_its_json_and_comes_back(tmp_path):
     assert has(clip, figures={"sync": 0.5}, recording_figures={"sync": 0.7})
     assert has(clip, mismatched={"sync": 0.1})
     assert has(saved["by_recording"]["x"]["coverage"], **asdict(own))
+
+
+def test_no_file_of_results_has_a_value_that_is_no_number(tmp_path):
+    nothing = MetricResult("reach", Interval(float("nan"), None, None, 3, 1, "the whole set"))
+    with pytest.raises(ValueError, match="JSON"):
+        evaluation(ModelResult("a", Path("a"), metrics={"reach": nothing})).json_text()
 
 
 def test_a_seed_below_zero_is_refused():
