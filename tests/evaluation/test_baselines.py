@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from gesturekit.corpus import Item, Manifest
 from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import evaluate, hand_movement, load_clip
+from gesturekit.evaluation.measuring.made_motion import mean_pose
 from gesturekit.motion import Motion
 
 BOTH = ("mean_pose", "other_utterance")
@@ -55,6 +56,15 @@ def test_the_mean_pose_is_held_in_every_frame(found, folders):
         away = mean.inv() * Rotation.from_quat(clip.generated.rotations[:, joint])
         assert away.magnitude() == pytest.approx(0.0, abs=1e-5)
     assert found.models[1].metrics["near_still"].interval.value == 100.0
+
+
+def test_the_mean_pose_keeps_joints_that_move_at_their_mean_place(gesture):
+    motions = [
+        replace(motion, joint_translations={"LeftHand": np.full((motion.n_frames, 3), place)})
+        for motion, place in ((gesture(1.0, 25.0, seed=1), 0.1), (gesture(3.0, 25.0, seed=2), 0.2))
+    ]
+    places = mean_pose(motions).joint_translations["LeftHand"]
+    assert places == pytest.approx(np.full((1, 3), 0.175), abs=1e-3), "by their lengths"
 
 
 def test_the_other_utterance_is_the_next_recording_cut_to_length(found, folders):

@@ -12,7 +12,7 @@ from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.sandwich_covariance import cov_cluster_2groups
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import Answer, Answers
+from gesturekit.evaluation import Answer, Answers, read_answers
 from gesturekit.evaluation.statistics.scores import mean_estimate, mean_test, share
 from gesturekit.study import Votes, analyse_study, raters_needed
 from gesturekit.study.analysis import (
@@ -191,6 +191,29 @@ def test_forty_raters_find_the_known_order(simulate):
     assert all(p.p_holm < 0.01 and p.p_tukey < 0.01 for p in found.pairs)
     elo = [system.elo for system in found.systems]
     assert elo[0].low > elo[1].high and elo[1].low > elo[2].high
+
+
+def test_a_system_with_a_single_answer_leaves_out_tukeys_test():
+    found = analyse_preference([*TWO, Answer("u", "d", "a", "c", 1)], rounds=10, seed=0)
+    assert found.anova is not None and all(np.isnan(pair.p_tukey) for pair in found.pairs)
+
+
+def test_each_question_has_the_mean_ratings_of_its_own_answers(tmp_path):
+    rows = ["rater,system,clip,question,value"]
+    for k, (one, other) in enumerate([(70, 20), (80, 10)]):
+        rows += [f"r{k},ours,c,human-likeness,{one}", f"r{k},theirs,c,human-likeness,{other}"]
+        rows += [f"r{k},ours,c,appropriateness,{other}", f"r{k},theirs,c,appropriateness,{one}"]
+    (tmp_path / "ratings.csv").write_text("\n".join(rows))
+    found = analyse_study(read_answers([tmp_path / "ratings.csv"]), rounds=10)
+    merits = {
+        question: {system.name: system.merit.value for system in one.systems}
+        for question, one in found.by_style.items()
+    }
+    assert merits == {
+        "human-likeness": {"ours": 75.0, "theirs": 15.0},
+        "appropriateness": {"ours": 15.0, "theirs": 75.0},
+    }
+    assert found.preference is None, "two questions have no common mean"
 
 
 def test_no_pair_is_dropped_in_silence():
