@@ -113,6 +113,10 @@ def power(
 
     expected = Expected(win_rate, ties, clear, rater_share, clip_share)
     pairs = systems * (systems - 1) // 2
+    needed = {
+        n: raters_needed(expected, n, clips, pairs, power)
+        for n in (1, 2, 3, 6, 12, 24) if n <= clips
+    }  # fmt: skip
     click.echo(
         f"To find a win rate of {win_rate:.0%} with {ties:.0%} ties at p < .05 with a power of "
         f"{power:.0%}\n({counted(systems, 'system')}, {counted(pairs, 'pair')} of systems, "
@@ -120,8 +124,7 @@ def power(
         f"{clip_share:g}):\n"
     )
     click.echo("comparisons a rater   of each pair   raters   answers in all")
-    for answers in (n for n in (1, 2, 3, 6, 12, 24) if n <= clips):
-        raters = raters_needed(expected, answers, clips, pairs, power)
+    for answers, raters in needed.items():
         total = f"{raters * answers * pairs:,}" if raters else "-"
         click.echo(f"{answers * pairs:>19}   {answers:>12}   {raters or '-':>6}   {total:>14}")
     click.echo("\nRaters are those who pass the attention checks: recruit about 10 % more.")

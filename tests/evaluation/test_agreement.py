@@ -270,3 +270,16 @@ def test_the_recordings_are_left_out_of_one_tau():
     votes = judged(*[(x, y) for i, x in enumerate(order) for y in order[i + 1 :]])
     found = of_votes(models, votes)["sync"]
     assert (found.kendall, found.of_models, found.n) == (pytest.approx(0), pytest.approx(-1), 4)
+
+
+def test_questions_with_few_systems_and_raters_of_one_system_are_said(tmp_path):
+    """`good` has three systems; each of its raters sees one, so that raters are no common scale."""
+    rows = ["rater,system,clip,question,value"]
+    rows += [f"{s}{k},{s},c{k},good,{10 * i + k}" for i, s in enumerate("abc") for k in range(4)]
+    rows += [f"a{k},{s},c{k},fast,{k}" for s in "ab" for k in range(4)]
+    (tmp_path / "r.csv").write_text("\n".join(rows))
+    models = [model(s, sync=0.1 * i) for i, s in enumerate("abc")]
+    found = agreement(models, read_ratings([tmp_path / "r.csv"]))
+    assert [question.question for question in found.questions] == ["good"]
+    assert any("'fast'" in note and "3 systems" in note for note in found.notes)
+    assert any("good" in note and "raters do not connect" in note for note in found.notes)

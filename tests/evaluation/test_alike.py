@@ -1,6 +1,7 @@
 """Unlike models are brought to one rig, set apart, marked, or refused."""
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -161,3 +162,41 @@ def test_a_recording_without_sound_has_no_speech_metrics_and_counts_elsewhere(
     assert "2 of 3" in model.metrics["sync"].note
     assert model.metrics["arm_speed"].interval.n == 3
     assert [item.what for item in model.excluded if item.name == "clip1"] == ["speech"]
+
+
+def test_recordings_of_another_rig_are_left_out_of_the_set(recordings, gesture, tmp_path):
+    made = saved(tmp_path / "m", {f"clip{i}": gesture(2.5, 15.0, seed=9) for i in range(3)})
+    last = Motion.load(recordings / "clip2.bvh")
+    kept = [name for name in last.skeleton.names if name != "Neck"]
+    last.keep(kept).save(recordings / "clip2.bvh")
+    (model,) = evaluate(made, recordings, cheap=True).models
+    reasons = {item.name: item.reason for item in model.excluded if "set" in item.what}
+    assert set(reasons) == {"clip2"} and "rig differs" in reasons["clip2"]
+
+
+def test_windows_belong_to_ten_seconds_of_their_recording(tmp_path, gesture):
+    whole = gesture(25.0, 10.0, seed=1)
+    whole.save(tmp_path / "recorded" / "a.npz")
+    beats = tmp_path / "beats"
+    beats.mkdir()
+    (beats / "a.txt").write_text("gesture\t12.0\t14.0\t2.0\t0.5\t\n")
+    for k, clip in enumerate((whole[100:200], whole[200:], whole[:100])):
+        clip.save(tmp_path / "made" / f"a_w00{k + 1}.npz")
+    options = {"semantic": beats, "baselines": ("mean_pose",), "cheap": False}
+    own, still = evaluate(tmp_path / "made", tmp_path / "recorded", **options).models
+    one, two = own.clips
+    assert (one.pair.window, two.pair.window) == (1, 2)
+    assert one.metrics["rmse"] == pytest.approx(0.0, abs=1e-6)
+    assert one.metrics["srgr"] > 0.0, "its gesture is from 2 s to 4 s of the window"
+    assert [round(clip.seconds) for clip in still.clips] == [10, 5]
+    (late,) = (item for item in own.excluded if item.what == "clip")
+    assert late.name == "a_w003" and "before its window 3 (30 s)" in late.reason
+
+
+def test_models_in_folders_of_one_name_are_told_apart_on_the_page(recordings, tmp_path, page_of):
+    models = {}
+    for place in ("one", "two"):
+        shutil.copytree(recordings, tmp_path / place / "clips")
+        models[str(tmp_path / place / "clips")] = tmp_path / place / "clips"
+    page = page_of(evaluate(models, recordings, cheap=True))
+    assert "clips (1)" in page and "clips (2)" in page and str(tmp_path) not in page

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import GENEA_COLUMNS, read_answers
+from gesturekit.evaluation import GENEA_COLUMNS, read_answers, read_ratings
 
 # Lines as in battles_elo.csv and battles_mismatch.csv of GENEA's public analysis.
 GENEA = (
@@ -142,3 +142,11 @@ def test_empty_lines_spaces_and_files_named_twice_do_not_matter(tmp_path):
         file.truncate((200 << 20) + 1)
     with pytest.raises(EvaluationError, match="large.csv.*200 MiB"):
         read_answers([tmp_path / "large.csv"])
+
+
+def test_votes_are_read_as_ratings_of_both_systems(tmp_path):
+    text = HEAD + "u,c,a,b,model_a,True,,\nu,d,a,b,tie,,,\nv,c,b,a,model_a,False,,\n"
+    found = read_ratings([write(tmp_path / "x.csv", text)])
+    shown = [(found.systems[s], value) for s, value in zip(found.system, found.value)]
+    assert shown == [("a", 1.0), ("b", 0.0), ("a", 0.5), ("b", 0.5), ("b", 1.0), ("a", 0.0)]
+    assert found.paired and found.raters == ("u", "v") and found.clips == ("c", "d")

@@ -245,3 +245,16 @@ def test_mismatched_motion_is_another_clip_of_the_same_folder():
     lists = make_lists(config_of(1, design="mismatch"), clips)
     pairs = {systems for one in lists for _, systems in one}
     assert pairs == {("s0", "s0_Mismatched"), ("s0_Mismatched", "s0")}
+
+
+def test_more_comparisons_than_segments_are_warned_of(tmp_path):
+    names = ["x.mp4", "y.mp4"]
+    config = video_study(tmp_path, {"one": names, "two": names}, pairs=5, lists=1)
+    with pytest.warns(UserWarning, match=r"5.*2 segments.*2 comparisons"):
+        assert build_study(config, tmp_path / "out").trials == 2
+
+
+def test_single_clips_of_two_folders_are_exchanged():
+    a, b = segments(1, folder="anna/")[0], segments(1, folder="ben/")[0]
+    found = mismatches([a, b], seed=0)
+    assert found == {a.name: b, b.name: a}

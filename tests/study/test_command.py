@@ -120,6 +120,7 @@ def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, tmp_path, run
         (("build", "absent.yaml"), "absent.yaml"),
         (("power", "--win-rate", "0.4"), "0.4"),
         (("power", "--ties", "1"), "ties"),
+        (("power", "--power", "1"), "power"),
         (("power", "--clip-share", "0.96"), "0.96"),
     ],
 )

@@ -159,3 +159,12 @@ def test_raters_who_do_not_look_are_named():
     )
     assert say(lines, [[r"\bfast\b", r"\b4 s", r"\b20 s"], [r"\bleft\b", "10 of 10"]])
     assert not say(reservations(study(careful)), [["answer"]])
+
+
+def test_systems_that_were_never_compared_are_named():
+    apart = [Answer(f"r{k}", "1", *pair, 1) for k in range(3) for pair in (("a", "b"), ("c", "d"))]
+    lines = " ".join(reservations(study(apart)))
+    assert re.search(r"Never compared: a and c, a and d, b and c, b and d\.", lines)
+    assert re.search(r"common rating: a, b; c, d\.", lines)
+    joined = " ".join(reservations(study([*apart, Answer("r0", "1", "b", "c", 1)])))
+    assert "Never compared: a and c, a and d, b and d." in joined and "common" not in joined
