@@ -63,6 +63,8 @@ def digest_of_sources(root: Path) -> str:
     """Return a digest of a source file, or of all below a folder and its tables: a part of keys."""
     digest = hashlib.sha256()
     files = [root] if root.is_file() else [*root.rglob("*.py"), *root.rglob("*.toml")]
+    if not files:  # keys that do not change with the code would be worse
+        raise FileNotFoundError(f"{root}: no source code to take a digest of")
     for path in sorted(files):
         digest.update(path.relative_to(root).as_posix().encode())
         digest.update(path.read_bytes())

@@ -13,7 +13,10 @@ from torch import nn
 
 from gesturekit.errors import EvaluationError, MotionError
 from gesturekit.evaluation import FeatureModel, PoseWindows, evaluate, fgd, raw_fgd
-from gesturekit.evaluation.metrics.frechet.feature_model import PoseAutoencoder
+from gesturekit.evaluation.metrics.frechet.feature_model import (
+    PoseAutoencoder,
+    reconstruction_loss,
+)
 from gesturekit.motion import Motion
 from gesturekit.motion.rotations import multiply_quaternions, quaternion_from_euler, rotate_vectors
 
@@ -26,6 +29,13 @@ def clips(gesture) -> list[Motion]:
 @pytest.fixture(scope="module")
 def model(clips) -> FeatureModel:
     return FeatureModel.fit(clips, n_frames=30, steps=8, seed=1)
+
+
+def test_the_reconstruction_counts_values_and_their_steps():
+    """Errors 1, 1, 4 (mean 2), steps 2 and 3 against 2 and 0 (mean 1.5); twice for two windows."""
+    windows = torch.tensor([1.0, 3.0, 3.0]).reshape(1, 3, 1).repeat(2, 1, 1)
+    made = torch.tensor([2.0, 4.0, 7.0]).reshape(1, 3, 1).repeat(2, 1, 1)
+    assert reconstruction_loss(made, windows).item() == pytest.approx(2 * (2.0 + 1.5))
 
 
 def test_a_report_compares_raw_windows_with_those_of_the_extractor(gesture, clips, tmp_path):

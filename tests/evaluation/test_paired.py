@@ -279,6 +279,13 @@ def test_sync_is_informative_only_where_the_recordings_are_above_chance(own, exp
     assert metrics_of(clips)["sync"].informative is expected
 
 
+def test_correlations_that_any_two_recordings_have_say_nothing():
+    clips = [clip(f"r{r}", 0, {"cca": 0.999, "sync": 0.5}, {"cca": 1.0}) for r in range(4)]
+    for own, expected in ((0.995, False), (0.985, True)):
+        found = metric_results(clips, {}, {"cca": (whole_set(own, 4), "against another take")})
+        assert found["cca"].informative is expected
+
+
 @pytest.mark.parametrize(("own", "expected"), [(0.1, True), (0.0002, False)])
 def test_a_held_out_recording_that_was_trained_on_says_nothing_about_copying(own, expected):
     pooled = {

@@ -118,7 +118,7 @@ def test_rounds_and_the_seed_of_the_intervals_are_chosen(simulate, tmp_path, run
         (("analyse", "x.csv"), "x.csv"),
         (("analyse", "absent.csv"), "absent.csv"),
         (("build", "absent.yaml"), "absent.yaml"),
-        (("power", "--win-rate", "0.4"), "0.4"),
+        (("power", "--win-rate", "0.5"), "0.5"),
         (("power", "--ties", "1"), "ties"),
         (("power", "--power", "1"), "power"),
         (("power", "--clip-share", "0.96"), "0.96"),
