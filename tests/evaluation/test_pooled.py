@@ -393,3 +393,17 @@ def test_distances_to_training_motion_are_the_least_over_its_copies(reaching):
     assert copying(swapped, other, [other], both).median == pytest.approx(0.0, abs=1e-9)
     one = copying(swapped, other, [other], ["LeftHand"])
     assert one.median == pytest.approx(0.1) and one.held_out_median == pytest.approx(0.0)
+
+
+def test_training_items_that_cannot_be_read_are_named(talker, tmp_path):
+    items = []
+    for k, (name, split) in enumerate((("a", "test"), ("b", "train"), ("c", "train"))):
+        talker(k, 6.0).save(tmp_path / f"{name}.npz")
+        items.append(Item(id=name, audio=None, motion=tmp_path / f"{name}.npz", duration=6.0,
+                          split=split))  # fmt: skip
+    talker(9, 6.0).save(tmp_path / "made" / "a.npz")
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    (tmp_path / "c.npz").write_bytes(b"damaged")
+    (model,) = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", cheap=True).models
+    assert [i.name for i in model.excluded if i.what == "the training split"] == ["c"]
+    assert model.metrics["novelty"].interval.value > 0.0

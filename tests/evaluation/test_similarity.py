@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from audio_features import FeatureTrack
 from gesturekit.errors import EvaluationError, FormatError, MotionError
 from gesturekit.evaluation import (
     SpeedHistogram,
@@ -163,3 +164,14 @@ def test_vertices_are_compared_as_beat2s_papers_do():
             compare(made, generated)
         with pytest.raises(EvaluationError, match="0, 1, 3"):
             compare(made[:0], recorded[:0])
+
+
+def test_a_semantic_track_in_a_feature_file_has_one_column(tmp_path):
+    times = np.array([0.0, 0.5])
+    for columns in (1, 2):
+        names = tuple("ab"[:columns])
+        track = FeatureTrack(np.ones((2, columns), np.float32), times, {"kind": "x"}, names)
+        track.save(tmp_path / f"{columns}.npz")
+    assert read_semantic(tmp_path / "1.npz").values.tolist() == [[1.0], [1.0]]
+    with pytest.raises(FormatError, match=r"2\.npz: 2 columns"):
+        read_semantic(tmp_path / "2.npz")

@@ -355,7 +355,7 @@ class LikenessMeasurer:
 
     def __post_init__(self) -> None:
         groups = [group for group in (MOVEMENT, POOLED) if group in self.measure.groups]
-        self.measure = replace(self.measure, groups=groups, cheap=False)
+        self.measure = replace(self.measure, groups=groups, cheap=True)  # all aspects are
 
     def __call__(self, clips: Sequence[ClipResult]) -> MetricResult | None:
         """Return the likeness of a model; None where no group has enough to compare."""
