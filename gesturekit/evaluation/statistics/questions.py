@@ -167,8 +167,8 @@ def _timing(clips: Sequence[ClipResult], metrics: Results) -> tuple[str, str]:
     result = metrics.get("in_time")
     if result is None or result.recording is None:
         silent = all(clip.pair.audio is None for clip in clips)
-        what = "there is no sound" if silent else "no speech with arms to move"
-        return "not measured", f"Not measured: {what}."
+        unknown = "the rig's arms are not known, or there is too little speech"
+        return "not measured", f"Not measured: {'there is no sound' if silent else unknown}."
     if not result.informative:  # the model alone is asked: is it above its own chance level?
         if no_room := _no_room(result):
             return _cannot_be_answered(no_room)
