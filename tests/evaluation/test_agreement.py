@@ -283,3 +283,11 @@ def test_questions_with_few_systems_and_raters_of_one_system_are_said(tmp_path):
     assert [question.question for question in found.questions] == ["good"]
     assert any("'fast'" in note and "3 systems" in note for note in found.notes)
     assert any("good" in note and "raters do not connect" in note for note in found.notes)
+
+
+def test_systems_of_one_side_alone_are_named():
+    models = [model(s, sync=0.1 * i) for i, s in enumerate("abcx")]
+    votes = judged(("a", "b"), ("b", "c"), ("a", "c"), ("a", "y"))
+    notes = agreement(models, Ratings.of_answers(votes)).notes
+    assert [note.rpartition(": ")[2] for note in notes] == ["y", "x"]
+    assert "not evaluated" in notes[0] and "not in the study" in notes[1]

@@ -10,7 +10,7 @@ import pytest
 from rigs import with_rest_turned, without_joints
 
 from gesturekit.errors import EvaluationError
-from gesturekit.evaluation import evaluate
+from gesturekit.evaluation import DEFINITIONS, evaluate
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.retarget import retarget
 
@@ -140,6 +140,10 @@ def test_rigs_without_legs_or_hands_are_measured_as_far_as_they_go(
     assert all(note in "; ".join(clip.notes) for clip in model.clips)
     assert {"arm_speed", "hellinger", "one_nn"} <= set(model.metrics)
     assert not lacks & set(model.metrics)
+    # What compares single clips is listed with its reason; what pools them says it once.
+    left_out = [item.what for item in model.excluded]
+    assert ("Foot skate" in left_out) == ("foot_skate" in lacks)
+    assert left_out.count(DEFINITIONS["reach"].name) == ("reach" in lacks)
 
 
 def test_models_of_other_lengths_are_marked(recordings, gesture, tmp_path):

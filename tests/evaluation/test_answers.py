@@ -99,7 +99,7 @@ def test_a_table_made_by_hand_may_name_the_winner(tmp_path):
 @pytest.mark.parametrize(
     ("text", "facts"),
     [
-        ("", ["user", "input_code"]),
+        ("", ["user", "input_code", "this one has nothing"]),
         ("user,input_code,model_A,model_b,winner,is_strong\n", ["model_A"]),
         (HEAD, ["answer"]),
         (HEAD + "u,c,a,b,left,True,,\n", ["line 2", "winner", "left", "model_a"]),

@@ -138,3 +138,34 @@ def test_models_that_ignore_the_speech_are_floors_of_the_others():
     models = [model("ours", 0.28, 0.25), model("speech_blind", 0.3, 0.25)]
     answer_questions(models)
     assert models[0].answers[0].state == "cannot be answered"
+
+
+def test_the_recordings_own_value_is_that_of_the_next_recording_of_another_take(gesture, tmp_path):
+    """Of a and b, one take, the next one of another take is c; of c it is a."""
+    motions = {name: gesture(4.0, 10.0, seed=k) for k, name in enumerate("abc")}
+    items = []
+    for name, motion in motions.items():
+        motion.save(tmp_path / f"{name}.npz")
+        items.append(Item(id=name, audio=None, motion=tmp_path / f"{name}.npz", duration=4.0,
+                          split="test", take="c" if name == "c" else "ab"))  # fmt: skip
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    for name, other in zip("abc", "cca", strict=True):
+        motions[other].save(tmp_path / "made" / f"{name}.npz")
+    (model,) = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl").models
+    for key in ("rmse", "cca", "coverage", "local_diversity"):
+        found = model.metrics[key]
+        assert found.recording == pytest.approx(found.interval.value), key
+
+
+def test_novelty_has_the_takes_of_the_recordings_as_its_ceiling(gesture, tmp_path):
+    items = []
+    for k, (name, split) in enumerate((("a", "test"), ("b", "test"), ("c", "train"))):
+        gesture(6.0, 25.0, seed=k).save(tmp_path / f"{name}.npz")
+        items.append(Item(id=name, audio=None, motion=tmp_path / f"{name}.npz", duration=6.0,
+                          split=split))  # fmt: skip
+        if split == "test":
+            gesture(6.0, 25.0, seed=9 + k).save(tmp_path / "made" / f"{name}.npz")
+    Manifest(items).save(tmp_path / "corpus.jsonl")
+    (model,) = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", cheap=True).models
+    ceiling = model.metrics["novelty"].ceiling
+    assert (ceiling.name, ceiling.value, ceiling.n) == (CEILING, 1.0, 2) and ceiling.spread > 0.0
