@@ -21,7 +21,12 @@ from gesturekit.evaluation import (
     metric_results,
 )
 from gesturekit.evaluation.results import OTHER_SPEAKER
-from gesturekit.evaluation.statistics.model_metrics import CEILING, MEAN_POSE, reached_floor
+from gesturekit.evaluation.statistics.model_metrics import (
+    CEILING,
+    MEAN_POSE,
+    level_of,
+    reached_floor,
+)
 
 
 def show(shared_data: Path, speaker: str) -> list[Item]:
@@ -169,3 +174,8 @@ def test_novelty_has_the_takes_of_the_recordings_as_its_ceiling(gesture, tmp_pat
     (model,) = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", cheap=True).models
     ceiling = model.metrics["novelty"].ceiling
     assert (ceiling.name, ceiling.value, ceiling.n) == (CEILING, 1.0, 2) and ceiling.spread > 0.0
+
+
+def test_a_level_is_mean_and_standard_deviation_of_takes():
+    assert level_of("x", [1.0, 2.0, 3.0, 6.0]) == Level("x", 3.0, pytest.approx(2.160247), 4)
+    assert level_of("x", [2.0]) == Level("x", 2.0, None, 1)

@@ -7,7 +7,7 @@ import pytest
 
 from gesturekit.evaluation import Answer, Answers
 from gesturekit.study import analyse_study, write_study_report
-from gesturekit.study.report import conclusions, reservations, write_json
+from gesturekit.study.report import conclusions, p_text, reservations, write_json
 
 
 def study(answers: list[Answer], rounds: int = 20, **options):
@@ -168,3 +168,8 @@ def test_systems_that_were_never_compared_are_named():
     assert re.search(r"common rating: a, b; c, d\.", lines)
     joined = " ".join(reservations(study([*apart, Answer("r0", "1", "b", "c", 1)])))
     assert "Never compared: a and c, a and d, b and d." in joined and "common" not in joined
+
+
+def test_p_values_are_written_as_in_papers():
+    written = {0.0004: "p < .001", 0.0016: "p = .002", 0.0412: "p = .041", 1.0: "p = 1.000"}
+    assert {p: p_text(p) for p in written} == written and p_text(float("nan")) == "no test"

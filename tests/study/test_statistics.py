@@ -259,3 +259,18 @@ def test_the_power_is_that_of_simulated_studies():
         found.append(mean_test(mean + variance**0.5 * noise, rater, clip) < 0.05)
     assert np.mean(found) == pytest.approx(0.8, abs=0.08)
     assert raters_needed(expected, answers=1, clips=3) is None, "three clips say too little"
+
+
+def test_merit_intervals_are_95_percent_wide():
+    """80 raters with an answer each to one clip: 1.96 standard errors either way."""
+    scores = np.random.default_rng(0).choice([2, 1, 0, -1, -2], 80)
+    answers = [Answer(f"r{k}", "c", "a", "b", int(score)) for k, score in enumerate(scores)]
+    found = analyse_preference(answers, rounds=4000, seed=0)
+    merits = {system.name: system.merit for system in found.systems}
+    for name, gained in (("a", np.maximum(scores, 0)), ("b", np.maximum(-scores, 0))):
+        half = 1.96 * gained.std() / np.sqrt(80)
+        merit = merits[name]
+        ends = [merit.value - merit.low, merit.high - merit.value]
+        assert merit.value == pytest.approx(gained.mean()) and ends == pytest.approx(
+            [half] * 2, rel=0.15
+        )
