@@ -200,3 +200,19 @@ def test_clips_stand_for_takes_where_these_are_few_and_pieces_of_a_single_clip(
     assert group.pieces and list(group.takes) == names and group.value == 1.0
     assert result.ceiling.pieces and result.ceiling.n == count
     assert result.interval.units == 1 and result.interval.low is None
+
+
+def test_a_mirrored_speaker_is_told_by_left_and_right(talk, tmp_path):
+    """The speaker's left arm is raised."""
+    real = []
+    for seed in range(5):
+        motion = talk(seed)
+        vectors = np.zeros((motion.n_frames, motion.skeleton.n_joints, 3))
+        vectors[:, motion.skeleton.index("LeftArm"), 2] = 0.9
+        real.append(turned(motion, vectors))
+    sides = {}
+    for name, made in (("own", real[:3]), ("mirrored", [m.mirror() for m in real[:3]])):
+        found = measured(tmp_path / name, real, made)
+        sides[name] = found.groups[0].aspects["left and right"], found.interval.value
+    assert sides["own"] == (1.0, 1.0)
+    assert sides["mirrored"][0] < 0.2 and sides["mirrored"][1] < 0.6

@@ -19,9 +19,9 @@ from which a body is broken. Another speaker, retargeted, has up to 30."""
 FAR_BEYOND_LIMITS, COVERED, SEPARABLE = 20.0, 0.05, 0.98
 """The same where a motion also covers less than this share of the recordings' own "within reach",
 and its 1-NN accuracy is at least this: broken, or of another speaker."""
-OUT_OF_JOINT = 50.0
+OUT_OF_JOINT = 75.0
 """Percentage of frames in which one joint is far (30°) beyond the recordings' range, from which a
-body is broken. Other takes of a speaker have up to 3, those of other speakers of SHOW 4."""
+body is broken. Other takes of a speaker have up to 3, another speaker, retargeted, up to 54."""
 FLOATING, SUNK, SLIDING, STRETCHED = 150.0, 100.0, 0.3, 5.0
 """Millimetres that the feet are above the floor or below it, their speed on it in m/s, and the
 percentage by which a bone changes its length, above twice those of the recordings, from which a
