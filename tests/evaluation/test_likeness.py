@@ -213,6 +213,5 @@ def test_a_mirrored_speaker_is_told_by_left_and_right(talk, tmp_path):
     sides = {}
     for name, made in (("own", real[:3]), ("mirrored", [m.mirror() for m in real[:3]])):
         found = measured(tmp_path / name, real, made)
-        sides[name] = found.groups[0].aspects["left and right"], found.interval.value
-    assert sides["own"] == (1.0, 1.0)
-    assert sides["mirrored"][0] < 0.2 and sides["mirrored"][1] < 0.6
+        sides[name] = found.groups[0].aspects["left and right"]
+    assert sides["own"] == 1.0 and sides["mirrored"] < 0.2
