@@ -407,3 +407,13 @@ def test_training_items_that_cannot_be_read_are_named(talker, tmp_path):
     (model,) = evaluate(tmp_path / "made", tmp_path / "corpus.jsonl", cheap=True).models
     assert [i.name for i in model.excluded if i.what == "the training split"] == ["c"]
     assert model.metrics["novelty"].interval.value > 0.0
+
+
+def test_sets_with_a_single_window_and_of_other_joints_are_refused(talker):
+    many, single = motion_windows([talker(0, 5.0)]), motion_windows([talker(1, 1.0)])
+    for one, other in ((many, single), (single, many)):
+        with pytest.raises(MotionError, match="2 or more"):
+            two_sample_accuracy(one, other)
+    fewer = motion_windows([talker(2, 5.0)], ["LeftArm", "LeftHand"])
+    with pytest.raises(MotionError, match="same joints"):
+        two_sample_accuracy(many, fewer)
