@@ -15,12 +15,15 @@ from gesturekit.evaluation import (
     Answer,
     BareItem,
     ClipResult,
+    Evaluation,
     Interval,
     MetricResult,
     ModelResult,
     Pair,
+    SpeedHistogram,
     read_ratings,
 )
+from gesturekit.evaluation.report.text import agreement_lines
 from gesturekit.evaluation.statistics.agreement import agreement, chance_range, conclusion
 from gesturekit.evaluation.statistics.answers import Ratings
 from gesturekit.evaluation.statistics.scores import scores_of
@@ -291,3 +294,24 @@ def test_systems_of_one_side_alone_are_named():
     notes = agreement(models, Ratings.of_answers(votes)).notes
     assert [note.rpartition(": ")[2] for note in notes] == ["y", "x"]
     assert "not evaluated" in notes[0] and "not in the study" in notes[1]
+
+
+def test_the_terminal_has_names_as_they_are(tmp_path):
+    quality = {"a": 3.0, "b": 2.0, "c": 1.0}
+    lines = [
+        (f"p{k}", s, "c", "body & <speech>", v + k) for k in range(4) for s, v in quality.items()
+    ]
+    models = [model(s, sync=v) for s, v in quality.items()]
+    found = Evaluation(
+        models, Path("r"), 25.0, "", {}, SpeedHistogram(), np.zeros(0),
+        agreement(models, rated(tmp_path / "x.csv", lines)),
+    )  # fmt: skip
+    text = "\n".join(agreement_lines(found))
+    assert "body & <speech>" in text and re.search(r"Sync +\+1\.00", text)
+
+
+def test_a_column_of_free_text_is_no_question(tmp_path):
+    lines = [("p", s, "c", f"I think {k}", k) for k in range(101) for s in "ab"]
+    with pytest.raises(EvaluationError, match=r"x\.csv: 101 different questions.*100"):
+        rated(tmp_path / "x.csv", lines)
+    assert len(rated(tmp_path / "y.csv", lines[2:]).questions) == 100

@@ -16,6 +16,8 @@ from pages import bundled
 
 from gesturekit.evaluation import evaluate, write_report
 from gesturekit.evaluation.report.text import number
+from gesturekit.viewer import player_shell
+from gesturekit.viewer.pages import script_json
 
 pytestmark = bundled
 
@@ -100,6 +102,7 @@ def test_it_plays_the_best_and_the_worst_beside_their_recordings(page, evaluatio
     labels = [figure["label"] for figure in clips[0]["motion"]["figures"]]
     assert labels == ["model", HOSTILE, "recording"]
     assert all("audio" in clip["motion"] for clip in clips)
+    assert script_json(player_shell()) in page.read_text(encoding="utf-8")
 
 
 def test_a_clip_of_a_later_window_is_played_with_the_sound_of_that_window(tmp_path, gesture):
