@@ -163,21 +163,40 @@ class ClipInputs:
 
     @property
     def limits(self) -> JointLimits | None:
-        """Limits of the joints; of a retargeted motion without wrists, whose twist is a guess."""
+        """Limits of the joints that the clip has.
+
+        Elbows and wrists of a retargeted motion have none: the twist of these bones is a guess.
+        """
         limits = self.statistics.limits
-        if limits is None or RETARGETED not in self.clip.notes:
-            return limits
-        wrists = {arm.wrist for arm in find_parts(self.clip.recording.skeleton).arms.values()}
-        return limits.without(wrists)
+        if limits is None:
+            return None
+        left_out: set[str | None] = {n for n in limits.joints if n not in self.clip.joints}
+        if self._is_retargeted:
+            arms = find_parts(self.clip.recording.skeleton).arms.values()
+            left_out |= {joint for arm in arms for joint in (arm.elbow, arm.wrist)}
+        return limits.without(left_out)
+
+    @property
+    def upper_limits(self) -> JointLimits | None:
+        """The same of the upper body: who sits among standing people is not broken."""
+        limits = self.limits
+        upper = upper_joints(self.clip.recording.skeleton)
+        return limits and limits.without({*limits.joints} - {*upper})
+
+    @property
+    def _is_retargeted(self) -> bool:
+        return RETARGETED in self.clip.notes
 
     @functools.cached_property
     def heights(self) -> np.ndarray:
         """Standing heights (F,) of the foot points, metres: the recording's, of the same body.
 
-        A rig without the ends of the recording's feet has fewer points: it takes its own heights.
+        A rig without the ends of the recording's feet has fewer points, and a retargeted motion may
+        have another floor: these take their own heights.
         """
         rigs = (self.motion.skeleton, self.clip.recording.skeleton)
         alike = self.clip.same_body and len({len(foot_points(rig)) for rig in rigs}) == 1
+        alike &= not self._is_retargeted
         return standing_heights(self.clip.recording if alike else self.motion)
 
     @functools.cached_property

@@ -394,6 +394,8 @@ class LikenessMeasurer:
                 loaded.append((clip, load_clip(clip.pair, self.fps, self.without)))
         if not loaded:
             return None
+        if all("hand_q50" in c.recording and "hand_q50" not in c.metrics for c, _ in loaded):
+            return None  # a rig without hands
         first = loaded[0][1]
         try:  # without known arms nothing is measured that could be compared
             upper = upper_joints(first.recording.skeleton)

@@ -568,10 +568,14 @@ def joint_limit_share(motion: Motion, limits: JointLimits) -> float:
     return float(_beyond(motion, limits).mean())
 
 
-def worst_joint(motion: Motion, limits: JointLimits) -> float:
+def worst_joint(motion: Motion, upper_limits: JointLimits) -> float:
     """Return the largest fraction of frames, over joints, in which one is far beyond its limits.
 
     Far is `FAR` or more; 0 to 1. A head that is turned round is one of many joints.
+
+    Args:
+        motion: a motion that has the joints.
+        upper_limits: limits of the joints to ask; reports take those of the upper body.
 
     Raises:
         MotionError: the motion lacks a joint of the limits.
@@ -587,7 +591,7 @@ def worst_joint(motion: Motion, limits: JointLimits) -> float:
         >>> worst_joint(gk.Motion(rig, turns, np.zeros((40, 3)), 30), limits)
         0.25
     """
-    return float(_beyond(motion, limits, FAR).mean(axis=0).max(initial=0.0))
+    return float(_beyond(motion, upper_limits, FAR).mean(axis=0).max(initial=0.0))
 
 
 def _beyond(motion: Motion, limits: JointLimits, margin: float = 0.0) -> np.ndarray:

@@ -19,6 +19,7 @@ from gesturekit.evaluation.statistics.intervals import LEVEL, Takes, interval_of
 from gesturekit.evaluation.statistics.thresholds import (
     ABOVE_CHANCE,
     ENOUGH_SECONDS,
+    LEARNED_SECONDS,
     LEAST_LIKE,
     LEAST_SECONDS,
     LIKE_SPREADS,
@@ -116,6 +117,8 @@ def _not_informative(clips: Sequence[ClipResult], found: Mapping[str, MetricResu
         keys.add("cca")
     if sum(clip.seconds for clip in clips) < ENOUGH_SECONDS:
         keys.update(key for key in found if DEFINITIONS[key].group == PATCHES)
+    if seconds_of(clips) < LEARNED_SECONDS:
+        keys |= {"joint_limits", "worst_joint"}
     return keys
 
 

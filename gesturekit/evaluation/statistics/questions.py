@@ -147,7 +147,9 @@ def defects(metrics: Results) -> str:
     found = [
         words.format(_value(metrics, key))
         for key, (times, more, words) in _DEFECTS.items()
-        if _value(metrics, key) - times * _own(metrics, key) > more
+        if key in metrics
+        and metrics[key].informative
+        and _value(metrics, key) - times * _own(metrics, key) > more
     ]
     if (shaken := _ratio(metrics, "jerk_genea")) > thresholds.SHAKEN:
         found.append(f"it shakes ({shaken:.0f} times the recordings' jerk)")

@@ -20,14 +20,17 @@ FAR_BEYOND_LIMITS, COVERED, SEPARABLE = 20.0, 0.05, 0.98
 """The same where a motion also covers less than this share of the recordings' own "within reach",
 and its 1-NN accuracy is at least this: broken, or of another speaker."""
 OUT_OF_JOINT = 75.0
-"""Percentage of frames in which one joint is far (30°) beyond the recordings' range, from which a
-body is broken. Other takes of a speaker have up to 3, another speaker, retargeted, up to 54."""
+"""Percentage of frames in which one joint of the upper body is far (30°) beyond the recordings'
+range, from which a body is broken. Other takes of a speaker have up to 3."""
+LEARNED_SECONDS = 40.0
+"""Seconds of recordings below which their range says nothing: another take of 10 s may leave it."""
 FLOATING, SUNK, SLIDING, STRETCHED = 150.0, 100.0, 0.3, 5.0
 """Millimetres that the feet are above the floor or below it, their speed on it in m/s, and the
 percentage by which a bone changes its length, above twice those of the recordings, from which a
 body is broken. Takes of SHOW stand up to 8 cm apart."""
-SHAKEN = 5.0
-"""Ratio of unfiltered jerk to the recordings' from which a body shakes."""
+SHAKEN = 7.5
+"""Ratio of unfiltered jerk to the recordings' from which a body shakes; lively takes have 5 times
+that of calm ones."""
 
 FULL_CREDIT, NO_CREDIT = 1.25, 2.5
 """Ratio of two values up to which an aspect of likeness has the credit 1, and from which 0."""

@@ -53,8 +53,8 @@ from gesturekit.motion.skeleton import Skeleton, forward_kinematics, global_rota
 
 _FLOOR_MARKER = 0.25
 """Share of the leg length; a root farther from the pelvis is a marker on the floor."""
-_SHORT, _ALIKE = 0.03, np.cos(np.deg2rad(30.0))
-"""Bones of one rest pose are at an angle of less than 30°, but for those shorter than 3 cm on the
+_SHORT, _ALIKE = 0.1, np.cos(np.deg2rad(10.0))
+"""Bones of one rest pose are at an angle of less than 10°, but for those shorter than 10 cm on the
 reference body: performers differ."""
 _FEWEST_STANDING = 5
 """Frames in which a foot must stand for its height to be measured."""
