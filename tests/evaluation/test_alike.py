@@ -13,6 +13,7 @@ from gesturekit.errors import EvaluationError
 from gesturekit.evaluation import DEFINITIONS, evaluate
 from gesturekit.motion import Motion, Skeleton
 from gesturekit.motion.retarget import retarget
+from gesturekit.motion.rotations import multiply_quaternions
 
 
 @pytest.fixture
@@ -48,6 +49,20 @@ def test_another_rig_is_retargeted_before_anything_is_measured(recordings, tmp_p
     # Retargeting there and back leaves the same movement, not one 1.3 times as fast.
     for key in ("wrist_speed", "reach"):
         assert result(found, 1, key) == pytest.approx(result(found, 0, key), rel=0.05), key
+
+
+def test_a_head_turned_round_is_found_on_a_rig_that_lacks_a_joint(recordings, tmp_path):
+    turned = {}
+    for path in sorted(recordings.glob("*.bvh")):
+        motion = Motion.load(path)
+        rotations, head = motion.rotations.copy(), motion.skeleton.index("Head")
+        half_turn = np.array([0.0, np.sin(np.deg2rad(75)), 0.0, np.cos(np.deg2rad(75))])
+        rotations[:, head] = multiply_quaternions(rotations[:, head], half_turn)
+        kept = [name for name in motion.skeleton.names if name != "RightFoot"]
+        turned[path.stem] = replace(motion, rotations=rotations).keep(kept)
+    found = evaluate(saved(tmp_path / "m", turned), recordings, cheap=True)
+    assert result(found, 0, "worst_joint") == 100.0
+    assert 0.0 < result(found, 0, "joint_limits") < 20.0
 
 
 def test_a_body_that_is_three_percent_larger_is_the_same_body(recordings, tmp_path):
@@ -140,6 +155,8 @@ def test_rigs_without_legs_or_hands_are_measured_as_far_as_they_go(
     assert all(note in "; ".join(clip.notes) for clip in model.clips)
     assert {"arm_speed", "hellinger", "one_nn"} <= set(model.metrics)
     assert not lacks & set(model.metrics)
+    if "reach" in lacks:
+        assert "likeness" not in model.metrics, "a rig without hands is not unlike the speaker"
     # What compares single clips is listed with its reason; what pools them says it once.
     left_out = [item.what for item in model.excluded]
     assert ("Foot skate" in left_out) == ("foot_skate" in lacks)

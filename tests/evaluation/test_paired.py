@@ -22,6 +22,7 @@ from gesturekit.evaluation import (
     distance,
     holm,
     metric_results,
+    verdict,
     whole_set,
 )
 from gesturekit.evaluation.results import GroupLikeness
@@ -277,6 +278,14 @@ def test_sync_is_informative_only_where_the_recordings_are_above_chance(own, exp
     clips = [clip(f"r{r}", 0, {"sync": 0.9}, given) for r in range(4)]
     assert above_chance(clips, "sync") is expected
     assert metrics_of(clips)["sync"].informative is expected
+
+
+def test_the_range_of_short_recordings_says_nothing():
+    for seconds, expected in ((6.0, False), (6.5, True)):
+        clips = [clip(f"r{r}", 0, {"joint_limits": 60.0}, {"joint_limits": 0.0}) for r in range(4)]
+        found = metrics_of([replace(one, seconds=seconds) for one in clips])
+        assert found["joint_limits"].informative is expected
+        assert ("broken" in verdict(found, [])) is expected
 
 
 def test_correlations_that_any_two_recordings_have_say_nothing():

@@ -67,11 +67,13 @@ def test_onto_itself_is_the_identity(shared_data, file):
 
 def test_the_same_joints_in_another_rest_pose_are_another_rig(moving_person):
     """At rest one arm points up and one down; sizes of a performer are no other rest pose."""
-    quarter = np.array([0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)])
-    raised = with_rest_turned(moving_person, quarter, "LeftArm", "RightArm")
-    np.testing.assert_allclose(raised.positions(), moving_person.positions(), atol=1e-9)
-    back = retarget(raised, moving_person.skeleton)
-    np.testing.assert_allclose(back.positions(), moving_person.positions(), atol=1e-3)
+    for degrees in (25.0, 90.0):
+        half = np.deg2rad(degrees / 2)
+        turn = np.array([0.0, 0.0, -np.sin(half), np.cos(half)])
+        raised = with_rest_turned(moving_person, turn, "LeftArm", "RightArm")
+        np.testing.assert_allclose(raised.positions(), moving_person.positions(), atol=1e-9)
+        back = retarget(raised, moving_person.skeleton)
+        np.testing.assert_allclose(back.positions(), moving_person.positions(), atol=1e-3)
 
 
 def test_size_scales_steps_and_heights(moving_person):
