@@ -15,7 +15,7 @@ LATE = 0.2
 
 BEYOND_LIMITS = 45.0
 """Percentage of rotations beyond the recordings' range, more than the recordings have themselves,
-from which a body is broken. Another speaker, retargeted, has up to 30."""
+from which a body is broken. Other speakers, retargeted, have 30 to 60."""
 FAR_BEYOND_LIMITS, COVERED, SEPARABLE = 20.0, 0.05, 0.98
 """The same where a motion also covers less than this share of the recordings' own "within reach",
 and its 1-NN accuracy is at least this: broken, or of another speaker."""
