@@ -46,10 +46,9 @@ def test_all_bad_motion_is_detected(spoken):
 
 
 @pytest.mark.stress
-@pytest.mark.parametrize("name", ["bandai", "reactidle"])
-def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_path, name):
+def test_with_mismatched_speech_only_another_utterance_passes(shared_data, tmp_path):
     sounds = sorted(shared_data.glob("speech/librispeech*/*.flac"))
-    for i, path in enumerate(sorted(shared_data.glob(f"motion/{name}/*.bvh"))):
+    for i, path in enumerate(sorted(shared_data.glob("motion/bandai/*.bvh"))):
         shutil.copy(path, tmp_path)
         samples, rate = soundfile.read(sounds[3 * i % len(sounds)])
         soundfile.write(tmp_path / f"{path.stem}.wav", samples, rate)
