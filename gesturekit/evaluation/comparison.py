@@ -427,15 +427,15 @@ def _mark_unlike(models: Sequence[ModelResult]) -> None:
         if changed:
             model.marks.append("retargeted")
             model.notes.append(
-                f"{changed} of {counted(len(model.clips), 'clip')} are on another rig than their "
-                "recording: they were retargeted to it before they were measured, and feet and "
-                "reach are partly those of the retargeting"
+                f"{changed} of {counted(len(model.clips), 'clip')} on another rig than the "
+                "recording: retargeted to it before anything was measured, so that feet and reach "
+                "are partly those of the retargeting"
             )
         short = sum(SHORTER in note for clip in model.clips for note in clip.notes)
         if short:
             model.notes.append(
-                f"{short} of {counted(len(model.clips), 'clip')} are shorter than their "
-                "recordings, which are compared as a whole"
+                f"{short} of {counted(len(model.clips), 'clip')} shorter than the recording, which "
+                "is compared as a whole"
             )
         own = _lengths(model)
         shared = [window for window in own if window in usual]
