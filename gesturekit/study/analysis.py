@@ -43,8 +43,8 @@ ROUNDS = 10_000
 MERIT = np.array([2.0, 1.0, 0.0, 0.0, 0.0])
 ELO = np.array([4.0, 2.0, 1.0, 0.0, 0.0])
 ALIGNMENT = np.array([2.0, 1.0, 0.5, 0.0, 0.0])
-"""What a system gets for an answer, from its clear preference to that of the other system. Weights
-of Elo ratings are those of GENEA's analysis: a tie counts for either system."""
+"""Gains of a system from each answer, from its clear preference to that of the other system. Those
+of Elo ratings are the weights of GENEA's analysis: a tie counts for either system."""
 SCALE, MEAN = 400.0, 1000.0
 _RIDGE = 1e-6  # keeps the strength of a system that lost every comparison finite
 _MOST_STEPS = 100

@@ -146,7 +146,7 @@ def test_models_that_ignore_the_speech_are_floors_of_the_others():
 
 
 def test_the_recordings_own_value_is_that_of_the_next_recording_of_another_take(gesture, tmp_path):
-    """Of a and b, one take, the next one of another take is c; of c it is a."""
+    """The next one of another take is c for a and b, which are one take, and a for c."""
     motions = {name: gesture(4.0, 10.0, seed=k) for k, name in enumerate("abc")}
     items = []
     for name, motion in motions.items():

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,7 +27,6 @@ from gesturekit.evaluation.definitions import (
     definitions_of,
 )
 from gesturekit.evaluation.measuring.clips import (
-    RETARGETED,
     Clip,
     RecordedSound,
     load_recording,
@@ -103,25 +103,30 @@ class ReferenceStatistics:
         found, joints = cls(), tuple[str, ...]()
         sums, n_frames = np.zeros(1), 0
         roots: set[str] = set()  # they turn with the whole body
-        for key, item in recordings.items():
-            try:
-                motion = load_recording(item, fps)
-                joints = joints or body_joints(motion.skeleton)
-                if not set(joints) <= set(motion.skeleton.names):
-                    raise EvaluationError("its rig differs from that of the first recording")
-                speed = rhythm.central_speed(motion, joints)
-            except GestureKitError as error:
-                found.excluded.append(Excluded(key, str(error), "the set of recordings"))
-                continue
-            found.recordings.append(key)
-            roots |= {motion.skeleton.names[0], *motion.joint_translations}
-            sums = sums + [column.sum() for column in speed.T]
-            n_frames += len(speed)
-        if found.recordings:
+
+        def readable() -> Iterator[Motion]:  # each is in memory once: there may be hours of them
+            nonlocal joints, sums, n_frames
+            for key, item in recordings.items():
+                try:
+                    motion = load_recording(item, fps)
+                    joints = joints or body_joints(motion.skeleton)
+                    if not set(joints) <= set(motion.skeleton.names):
+                        raise EvaluationError("its rig differs from that of the first recording")
+                    speed = rhythm.central_speed(motion, joints)
+                except GestureKitError as error:
+                    found.excluded.append(Excluded(key, str(error), "the set of recordings"))
+                    continue
+                found.recordings.append(key)
+                roots.update((motion.skeleton.names[0], *motion.joint_translations))
+                sums = sums + [column.sum() for column in speed.T]
+                n_frames += len(speed)
+                yield motion
+
+        motions = readable()
+        if (first := next(motions, None)) is not None:
+            limits = JointLimits.fit(itertools.chain([first], motions), joints)
             found.mean_speed = dict(zip(joints, (sums / n_frames).tolist()))
-            if turning := [name for name in joints if name not in roots]:
-                motions = (load_recording(recordings[key], fps) for key in found.recordings)
-                found.limits = JointLimits.fit(motions, turning)
+            found.limits = limits.without(roots) if set(joints) - roots else None
         return found
 
 
@@ -171,7 +176,7 @@ class ClipInputs:
         if limits is None:
             return None
         left_out: set[str | None] = {n for n in limits.joints if n not in self.clip.joints}
-        if self._is_retargeted:
+        if self.clip.is_retargeted:
             arms = find_parts(self.clip.recording.skeleton).arms.values()
             left_out |= {joint for arm in arms for joint in (arm.elbow, arm.wrist)}
         return limits.without(left_out)
@@ -183,10 +188,6 @@ class ClipInputs:
         upper = upper_joints(self.clip.recording.skeleton)
         return limits and limits.without({*limits.joints} - {*upper})
 
-    @property
-    def _is_retargeted(self) -> bool:
-        return RETARGETED in self.clip.notes
-
     @functools.cached_property
     def heights(self) -> np.ndarray:
         """Standing heights (F,) of the foot points, metres: the recording's, of the same body.
@@ -196,7 +197,6 @@ class ClipInputs:
         """
         rigs = (self.motion.skeleton, self.clip.recording.skeleton)
         alike = self.clip.same_body and len({len(foot_points(rig)) for rig in rigs}) == 1
-        alike &= not self._is_retargeted
         return standing_heights(self.clip.recording if alike else self.motion)
 
     @functools.cached_property

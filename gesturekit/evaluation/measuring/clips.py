@@ -96,8 +96,14 @@ class Clip:
 
     @functools.cached_property
     def same_body(self) -> bool:
-        """True if the bones of both bodies agree to 1 %."""
-        return _same_bones(self.generated, self.recording, self.joints, 0.01, 1e-3)
+        """True if the motion was made on the recording's bones, to 1 %."""
+        bones = self.generated, self.recording, self.joints
+        return not self.is_retargeted and _same_bones(*bones, 0.01, 1e-3)
+
+    @property
+    def is_retargeted(self) -> bool:
+        """True if the motion was made on another rig."""
+        return RETARGETED in self.notes
 
 
 def load_clip(pair: Pair, fps: float, without: frozenset[str] = frozenset()) -> Clip:

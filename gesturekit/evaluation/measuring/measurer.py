@@ -30,7 +30,6 @@ from gesturekit.errors import GestureKitError
 from gesturekit.evaluation.definitions import POOLED, SPEECH
 from gesturekit.evaluation.measuring.clip_metrics import ClipMetrics
 from gesturekit.evaluation.measuring.clips import (
-    RETARGETED,
     RecordedSound,
     clip_notes,
     load_clip,
@@ -139,7 +138,7 @@ class Measurer:
         for path, at in self._others[label, index][0]:
             with suppress(AudioFeaturesError):  # reported with the clip that it belongs to
                 sounds.append(load_sound(path, at))
-        window = pair.of, clip.joints, RETARGETED in clip.notes  # what its values depend on
+        window = pair.of, clip.joints, clip.is_retargeted  # what its values depend on
         if window not in self._recorded:  # also in time with other recordings' sounds
             own = self.measure.recording(clip)
             as_made = replace(clip, generated=clip.recording)

@@ -395,11 +395,9 @@ class LikenessMeasurer:
         if not loaded:
             return None
         if all("hand_q50" in c.recording and "hand_q50" not in c.metrics for c, _ in loaded):
-            return None  # a rig without hands
-        first = loaded[0][1]
-        try:  # without known arms nothing is measured that could be compared
-            upper = upper_joints(first.recording.skeleton)
-            upper_joints(first.generated.skeleton)
+            return None  # a rig without hands, or whose arms are not known
+        try:
+            upper = upper_joints(loaded[0][1].recording.skeleton)
         except MotionError:
             return None
         joints = tuple(n for n in upper if all(n in motion.joints for _, motion in loaded))
